@@ -79,7 +79,7 @@ def test_a_sensor_survives_the_round_trip():
         distortion_model="plumb_bob",
         distortion=(0.1, 0.2, 0.3, 0.4, 0.5),
     )
-    pose = Pose.from_yaw(1, 2, 0.5, z_m=3)
+    pose = Pose.from_xyz(1, 2, 3, yaw_rad=0.5)
     for spec in (
         SensorSpec("c", kind="rgbd", t_base_sensor=pose, intrinsics=camera, overload_policy="block"),
         SensorSpec("l", kind="lidar2d", time_offset_s=-0.25),
@@ -185,7 +185,7 @@ def test_a_zone_mask_says_what_it_has_and_leaves_out_what_stays(tmp_path):
 
 
 def test_a_picture_has_a_goal_or_a_path_and_says_what_is_drawn():
-    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    poses = [Pose(), Pose.from_xy_yaw(1.0, 0.0, 0.0)]
     for goal, path in ((None, None), ((1.0, 2.0), poses)):
         with pytest.raises(InvalidArgument) as error:
             drawing.draw_path("s", goal, path, None, "clearance", None, None)
@@ -269,7 +269,8 @@ def test_a_path_is_true_and_no_path_is_false():
         no_path=path_pb2.NoPath(reason=path_pb2.NO_PATH_REASON_UNREACHABLE, detail="walls")
     )
     assert call.read(found)
-    assert call.read(found).waypoints.tolist() == [[1.0, 2.0, 0.5]]
+    assert call.read(found).waypoints.tolist() == [[1.0, 2.0]]
+    assert call.read(found).yaws_rad.tolist() == [0.5]
     assert not call.read(blocked)
     assert call.read(blocked).reason == "unreachable"
     assert not call.request.HasField("start")

@@ -1,15 +1,32 @@
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
 
 import percept
-from percept import CloudFrame, DepthFrame, InvalidArgument, PointCloud, Pose, RgbdFrame, ScanFrame
+from percept import (
+    CameraIntrinsics,
+    CloudFrame,
+    DepthFrame,
+    InvalidArgument,
+    OdometryFrame,
+    OrientedBox,
+    PathOptions,
+    PointCloud,
+    Pose,
+    RgbdFrame,
+    ScanFrame,
+    SensorSpec,
+)
+from percept._convert import navigation, sensors
+from percept.v1 import sensor_pb2
 
 
 def random_pose(rng):
     q = rng.normal(size=4)
-    return Pose(rng.normal(size=3), q / np.linalg.norm(q))
+    return Pose(translation=rng.normal(size=3), rotation=q / np.linalg.norm(q))
 
 
 def test_a_pose_survives_its_matrix():
@@ -46,7 +63,75 @@ def test_half_turns_about_each_axis_survive():
 
 def test_yaw_goes_in_and_comes_out():
     for yaw in (-3.1, -1.0, 0.0, 0.5, 3.1):
-        assert Pose.from_yaw(1.0, 2.0, yaw).yaw_rad == pytest.approx(yaw)
+        assert Pose.from_xy_yaw(1.0, 2.0, yaw).yaw_rad == pytest.approx(yaw)
+
+
+def test_roll_pitch_and_yaw_turn_about_fixed_axes_in_this_order():
+    def turn(axis, angle):
+        c, s = np.cos(angle), np.sin(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        out = np.eye(3)
+        out[[i, j], [i, j]] = c
+        out[j, i], out[i, j] = s, -s
+        return out
+
+    pose = Pose.from_xyz(1, 2, 3, roll_rad=0.3, pitch_rad=-0.5, yaw_rad=2.0)
+    assert np.allclose(pose.matrix[:3, :3], turn(2, 2.0) @ turn(1, -0.5) @ turn(0, 0.3))
+    assert pose.translation.tolist() == [1, 2, 3]
+    assert Pose.from_xy_yaw(1, 2, 0.5) == Pose.from_xyz(1, 2, 0, yaw_rad=0.5)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda bare: Pose(bare),
+        lambda bare: Pose(*bare),
+        lambda bare: SensorSpec("imu", kind="imu", t_base_sensor=bare),
+        lambda bare: OrientedBox(t_frame_box=bare, size_m=(1, 1, 1)),
+        lambda bare: OdometryFrame("o", stamp_ns=1, t_odom_base=bare),
+        lambda bare: navigation.plan("s", bare, None, None, None),
+        lambda bare: navigation.plan("s", (1, 2), bare, None, None),
+        lambda bare: navigation.validate("s", np.array([bare, bare]), None, None),
+    ],
+)
+@pytest.mark.parametrize("bare", [(1.0, 2.0, 0.5), np.array([1.0, 2.0, 0.5])], ids=["tuple", "array"])
+def test_three_bare_numbers_are_no_pose(make, bare):
+    with pytest.raises(TypeError, match=r"look alike.*from_xy_yaw") as error:
+        make(bare)
+    assert isinstance(error.value, InvalidArgument)
+
+
+def test_a_pose_as_an_end_gives_its_place_and_heading():
+    goal = Pose.from_xy_yaw(1, 2, 0.5)
+    request = navigation.plan("s", goal, None, None, PathOptions(planner="hybrid")).request
+    assert (request.goal.x, request.goal.y) == (1, 2)
+    assert request.options.goal_yaw_rad == pytest.approx(0.5)
+    told = PathOptions(planner="hybrid", goal_yaw_rad=3.0)
+    assert navigation.plan("s", goal, None, None, told).request.options.goal_yaw_rad == 3.0
+    assert not request.options.HasField("start_yaw_rad")
+
+
+def test_poses_are_copied_and_pickled():
+    pose = Pose.from_xy_yaw(1, 2, 0.5)
+    assert copy.deepcopy(pose) == pickle.loads(pickle.dumps(pose)) == dataclasses.replace(pose) == pose
+
+
+def test_a_sensor_is_checked_when_it_is_made():
+    with pytest.raises(ValueError, match="range_max_m is -1; it must be above 0 and at most 10000 m"):
+        SensorSpec("lidar", kind="lidar3d", range_max_m=-1)
+    with pytest.raises(ValueError, match="kind is 'laser'; choose one of depth, rgbd"):
+        SensorSpec("lidar", kind="laser")
+    with pytest.raises(ValueError, match="intrinsics is missing"):
+        SensorSpec("camera", kind="depth")
+    with pytest.raises(ValueError, match=r"width_px is 64.5.*whole number"):
+        CameraIntrinsics(width_px=64.5, height_px=48, fx_px=60, fy_px=60, cx_px=32, cy_px=24)
+    mount = Pose.from_xyz(1, 2, 3)
+    assert SensorSpec("imu", kind="imu", t_base_sensor=mount.matrix).t_base_sensor == mount
+
+
+def test_what_a_newer_server_says_of_a_sensor_can_be_read():
+    told = sensors.spec(sensor_pb2.SensorSpec(sensor_id="radar", kind=99, range_max_m=1e6))
+    assert (told.sensor_id, told.kind, told.range_max_m) == ("radar", "unspecified", 1e6)
 
 
 def test_a_matrix_that_is_no_rotation_is_refused():
@@ -131,19 +216,3 @@ def test_a_scan_is_float32():
 def test_everything_exported_exists():
     for name in percept.__all__:
         assert hasattr(percept, name), name
-
-
-def test_a_part_of_a_cloud_keeps_its_channels():
-    points = np.arange(12, dtype=np.float32).reshape(4, 3)
-    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
-    cloud = PointCloud(points, colours=colours)
-    mask = points[:, 2] > 3
-    for chosen in (mask, [1, 2, 3], slice(1, None), np.array([-3, -2, -1])):
-        part = cloud[chosen]
-        assert np.array_equal(part.points, points[1:])
-        assert np.array_equal(part.colours, colours[1:])
-        assert part.normals is None
-    assert len(cloud[np.zeros(4, bool)]) == len(cloud[[]]) == 0
-    for wrong in (np.ones(3, bool), np.array([4]), np.array([[0]]), np.array([0.5])):
-        with pytest.raises(InvalidArgument):
-            cloud[wrong]

@@ -29,7 +29,7 @@ from support import world
 from support.server import Server, recorded
 
 VGA = CameraIntrinsics(width_px=640, height_px=480, fx_px=585.0, fy_px=585.0, cx_px=320.0, cy_px=240.0)
-BASE = Pose(np.zeros(3), world.OPTICAL)
+BASE = Pose(rotation=world.OPTICAL)
 
 
 def ingest_session(client):

@@ -50,7 +50,7 @@ def describe(robot: Robot, tf: str = "/tf_static") -> None:
 def step(robot: Robot, i: int, truth: Pose, *, space: str = "", wheels: bool = True) -> None:
     """One scan, and where the wheels say the robot is: in a frame of their own."""
     now = world.stamp(i)
-    drift = Pose(np.array([0.3, -0.2, 0.0]))
+    drift = Pose.from_xyz(0.3, -0.2, 0.0)
     t_odom_base = drift @ truth
     if wheels:
         robot.publish(f"{space}/odom", ros2.odometry(now, t_odom_base))
@@ -126,8 +126,10 @@ def test_a_robot_is_mapped_and_gets_poses_and_a_map_back(tmp_path, router, kind)
             moved = ours()[-1]
             assert moved.child_frame_id == "odom"
             at, turn = moved.transform.translation, moved.transform.rotation
-            t_map_odom = Pose(np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w]))
-            t_odom_base = Pose(np.array([0.3, -0.2, 0.0])) @ truth[-1]
+            t_map_odom = Pose(
+                translation=np.array([at.x, at.y, at.z]), rotation=np.array([turn.x, turn.y, turn.z, turn.w])
+            )
+            t_odom_base = Pose.from_xyz(0.3, -0.2, 0.0) @ truth[-1]
             assert world.position_error_m(t_map_odom @ t_odom_base, expected) < 0.04
         assert server.stop() == 0
 
@@ -280,7 +282,7 @@ def test_a_goal_is_answered_by_a_path_and_the_map_of_others_is_left_to_them(tmp_
         other = ros2.T["nav_msgs/msg/OccupancyGrid"](
             header=ros2.header(world.stamp(0), "map"),
             info=ros2.T["nav_msgs/msg/MapMetaData"](
-                map_load_time=ros2.stamp(0), resolution=0.1, width=1, height=1, origin=ros2.pose(Pose(np.zeros(3)))
+                map_load_time=ros2.stamp(0), resolution=0.1, width=1, height=1, origin=ros2.pose(Pose())
             ),
             data=np.zeros(1, np.int8),
         )
@@ -295,7 +297,7 @@ def test_a_goal_is_answered_by_a_path_and_the_map_of_others_is_left_to_them(tmp_
             drive(client, robot, first, 25)
             session = client.session("robot")
             goal = ros2.T["geometry_msgs/msg/PoseStamped"](
-                header=ros2.header(0, "map"), pose=ros2.pose(Pose(np.array([0.5, 0.0, 0.0])))
+                header=ros2.header(0, "map"), pose=ros2.pose(Pose.from_xyz(0.5, 0.0, 0.0))
             )
             # RViz declares its publisher and sends some time later.
             robot.publish("/goal_pose", goal)

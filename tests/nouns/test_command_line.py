@@ -49,7 +49,7 @@ def test_a_path_on_a_map_file_is_told_written_and_drawn(client, hall, tmp_path):
     assert f"{path.length_m:.2f} m" in told
     assert f"{path.duration_s:.1f} s" in told
     rows = list(csv.DictReader(table.open()))
-    assert [(float(r["x_m"]), float(r["y_m"])) for r in rows] == [(x, y) for x, y, _ in path.waypoints]
+    assert [(float(r["x_m"]), float(r["y_m"])) for r in rows] == [(x, y) for x, y in path.waypoints]
     assert float(rows[-1]["time_s"]) == path.duration_s
     assert client.toolbox.decode_colour(picture.read_bytes()).shape[1] > 900
     whole = tmp_path / "path.json"

@@ -146,7 +146,7 @@ def test_one_that_is_two_stays_two(session):
     thing, found = next(iter(listed(session).items()))
     box = found.box
     half = box.size_m * [0.5, 1, 1]
-    shift = Pose([half[0] / 2, 0, 0]), Pose([-half[0] / 2, 0, 0])
+    shift = Pose.from_xyz(half[0] / 2, 0, 0), Pose.from_xyz(-half[0] / 2, 0, 0)
     places = [Pose.from_matrix(box.t_frame_box.matrix @ s.matrix) for s in shift]
     boxes = [OrientedBox(t_frame_box=place, size_m=half) for place in places]
     gone, *pieces = session.scene.split_object(thing, boxes)
@@ -264,7 +264,7 @@ def test_what_cannot_be_is_refused(session):
             call()
         assert (error.value.reason, error.value.field) == (reason, field)
     # Nothing can be learned from what is not there.
-    session.scene.split_object(other, [box, dataclasses.replace(box, t_frame_box=Pose([50.0, 0, 0]))])
+    session.scene.split_object(other, [box, dataclasses.replace(box, t_frame_box=Pose.from_xyz(50.0, 0, 0))])
     far = max(listed(session).values(), key=lambda o: o.box.centre[0])
     with pytest.raises(FailedPrecondition) as error:
         session.scene.label(far.object_id, "ghost", learn=True)

@@ -14,12 +14,12 @@ def circle():
     """(N, 4, 4): a circle of 2 m with the heading along it."""
     out = []
     for a in np.linspace(0, 3, N):
-        out.append(Pose.from_yaw(2 * np.cos(a), 2 * np.sin(a), a + np.pi / 2).matrix)
+        out.append(Pose.from_xy_yaw(2 * np.cos(a), 2 * np.sin(a), a + np.pi / 2).matrix)
     return np.array(out)
 
 
 def test_a_moved_trajectory_has_no_error_once_aligned(client):
-    moved = Pose.from_yaw(3, -2, 1.0, z_m=0.5).matrix @ circle()
+    moved = Pose.from_xyz(3, -2, 0.5, yaw_rad=1.0).matrix @ circle()
     metrics = client.evaluation.trajectory((STAMPS, circle()), estimate=(STAMPS, moved))
     assert metrics.num_pairs == N
     assert metrics.ate_m.rmse == pytest.approx(0, abs=1e-9)
@@ -49,7 +49,7 @@ def test_scale_is_found_by_sim3_alone(client):
 
 
 def test_first_poses_are_laid_onto_each_other_by_origin_alignment(client):
-    moved = Pose.from_yaw(3, -2, 1.0).matrix @ circle()
+    moved = Pose.from_xy_yaw(3, -2, 1.0).matrix @ circle()
     metrics = client.evaluation.trajectory((STAMPS, circle()), estimate=(STAMPS, moved), alignment="origin")
     assert metrics.ate_m.max == pytest.approx(0, abs=1e-9)
     assert metrics.t_reference_estimate.matrix @ moved[0] == pytest.approx(circle()[0])
@@ -132,7 +132,7 @@ def test_relations_are_judged_without_a_common_frame(client):
     first, second = np.array([0, 20, 5]), np.array([10, 3, 40])
     motions = np.array([np.linalg.inv(poses[a]) @ poses[b] for a, b in zip(first, second, strict=True)])
     motions[2, 0, 3] += 0.1
-    moved = Pose.from_yaw(3, -2, 1.0).matrix @ poses
+    moved = Pose.from_xy_yaw(3, -2, 1.0).matrix @ poses
     relations = (STAMPS[first], STAMPS[second], motions)
     metrics = client.evaluation.relations((STAMPS, moved), relations=relations)
     assert (metrics.num_relations, metrics.num_missed, metrics.num_loops) == (3, 0, 0)
@@ -165,7 +165,7 @@ def test_a_session_is_judged_against_truth(client, laser_session):
 
 
 def box(x, size=1.0, label="box", confidence=0.0):
-    pose = Pose(np.array([x, 0.0, size / 2]))
+    pose = Pose.from_xyz(x, 0.0, size / 2)
     size_m = np.full(3, size)
     return LabelledBox(object_class=label, box=OrientedBox(t_frame_box=pose, size_m=size_m), confidence=confidence)
 

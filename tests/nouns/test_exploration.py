@@ -51,7 +51,7 @@ def test_a_path_covers_what_the_robot_reaches(hall):
     step = 0.05
     y, x = np.mgrid[0.5:4.0:0.1, 0.5:8.0:0.1]
     points = np.column_stack([x.ravel(), y.ravel()])
-    way = found.path.waypoints[:, :2]
+    way = found.path.waypoints
     dense = np.vstack(
         [
             a + (b - a) * np.linspace(0, 1, max(2, int(np.linalg.norm(b - a) / step)))[:, None]

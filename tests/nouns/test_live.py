@@ -11,7 +11,7 @@ ANGLES = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
 LASER = SensorSpec(
     "laser",
     kind="lidar2d",
-    t_base_sensor=Pose(np.array([0.0, 0.0, 0.3])),
+    t_base_sensor=Pose.from_xyz(0.0, 0.0, 0.3),
     overload_policy="block",
 )
 

@@ -95,7 +95,7 @@ def test_a_floor_plan_is_planned_in_and_a_robot_is_found_in_it(client):
 def test_a_robot_starts_where_it_is_told_to_be(client):
     session = fine_session(client, world.LASER)
     poses = world.drive(12)
-    told = poses[0].matrix @ Pose.from_yaw(0.1, 0.05, 0.05).matrix
+    told = poses[0].matrix @ Pose.from_xy_yaw(0.1, 0.05, 0.05).matrix
     session.map.import_map(floor_plan(), start=told)
     drive_through(session, poses[:1], send_scan)
     assert session.pose().state is TrackingState.TRACKING
@@ -106,12 +106,12 @@ def test_a_robot_starts_where_it_is_told_to_be(client):
 @pytest.mark.parametrize("height_m", [world.LASER_HEIGHT_M, 0.0])
 def test_what_a_plan_shows_and_is_not_there_leaves_the_map_while_the_robot_stands(client, height_m):
     """At base's own height, too: a laser whose mount nobody has declared."""
-    mount = Pose(np.array([0.0, 0.0, height_m]))
+    mount = Pose.from_xyz(0.0, 0.0, height_m)
     laser = SensorSpec("laser", kind="lidar2d", t_base_sensor=mount, overload_policy="block")
     session, plan = fine_session(client, laser), floor_plan()
     low, high = (np.round((np.array(p) - plan.origin) / RESOLUTION_M).astype(int) for p in ((-1.7, 0.3), (-1.3, 0.7)))
     plan.cells[low[1] : high[1], low[0] : high[0]] = 100
-    here = Pose(np.array([0.3, 0.1, 0.0]))
+    here = Pose.from_xyz(0.3, 0.1, 0.0)
     session.map.import_map(plan, start=here)
     side = (-1.33, 0.5)
     assert session.map.occupancy().cell_at(*side) > 60

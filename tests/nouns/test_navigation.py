@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from percept import (
@@ -9,6 +11,7 @@ from percept import (
     NotFound,
     Path,
     PathOptions,
+    Pose,
     ScanFrame,
     SpeedLimits,
     Steering,
@@ -32,15 +35,15 @@ def test_a_path_leads_from_the_robot_to_the_goal_past_the_furniture(laser_sessio
     assert isinstance(path, Path), path
     assert path
     start = laser_session.pose().t_map_base.translation
-    assert np.linalg.norm(path.waypoints[0, :2] - start[:2]) < 0.1
-    assert np.linalg.norm(path.waypoints[-1, :2] - goal) < 0.1
-    steps = np.linalg.norm(np.diff(path.waypoints[:, :2], axis=0), axis=1)
+    assert np.linalg.norm(path.waypoints[0] - start[:2]) < 0.1
+    assert np.linalg.norm(path.waypoints[-1] - goal) < 0.1
+    steps = np.linalg.norm(np.diff(path.waypoints, axis=0), axis=1)
     assert path.length_m == pytest.approx(steps.sum(), rel=1e-3)
     assert path.cost >= path.length_m - 1e-6
     offset = world.drive(1)[0].translation[:2]
     along = [
         clear_of_furniture_m(*(a + f * (b - a) + offset))
-        for a, b in zip(path.waypoints[:-1, :2], path.waypoints[1:, :2], strict=True)
+        for a, b in zip(path.waypoints[:-1], path.waypoints[1:], strict=True)
         for f in np.linspace(0, 1, 20)
     ]
     assert min(along) > 0.1
@@ -49,11 +52,40 @@ def test_a_path_leads_from_the_robot_to_the_goal_past_the_furniture(laser_sessio
     assert path.min_clearance_m == pytest.approx(min(along), abs=2 * resolution)
 
 
+def test_a_path_to_a_thing_ends_beside_it_and_looks_at_it(lidar_session):
+    things = list(lidar_session.scene.objects())
+    assert things
+    offset = world.drive(1)[0].translation[:2]
+    for thing in things:
+        path = lidar_session.plan_to(thing, gap_m=0.4, options=PathOptions(planner="hybrid"))
+        assert path, (thing, path)
+        end = path.poses[-1]
+        gap = np.abs(thing.box.t_frame_box.inverse().apply(end.translation))[:2] - thing.box.size_m[:2] / 2
+        assert 0.39 < gap.max() < 0.81
+        ahead = end.inverse().apply(np.array([*thing.box.centre[:2], 0.0]))
+        assert abs(np.arctan2(ahead[1], ahead[0])) < 0.1
+        assert clear_of_furniture_m(*(end.translation[:2] + offset)) > 0.1
+    again = lidar_session.plan_to(things[0].object_id, gap_m=0.4)
+    first = lidar_session.plan_to(things[0], gap_m=0.4)
+    assert np.array_equal(again.waypoints, first.waypoints)
+    with pytest.raises(NotFound):
+        lidar_session.plan_to(10**6)
+
+
+def test_what_cannot_be_reached_says_why_not(laser_session, lidar_session):
+    thing = next(lidar_session.scene.objects())
+    walled = [(-9, -9), (9, -9), (9, 9), (-9, 9)]
+    none = lidar_session.plan_to(thing, options=PathOptions(zones=[Zone(polygon=walled)]))
+    assert none.reason == "start_in_keep_out"
+    far = dataclasses.replace(thing, box=dataclasses.replace(thing.box, t_frame_box=Pose.from_xyz(50, 0, 0)))
+    assert laser_session.plan_to(far).reason == "goal_outside_map"
+
+
 def test_headings_look_at_the_next_waypoint(laser_session):
     path = laser_session.plan(world.to_map(2.4, 0.0), start=world.to_map(-2.0, 1.0))
-    steps = np.diff(path.waypoints[:, :2], axis=0)
+    steps = np.diff(path.waypoints, axis=0)
     wanted = np.arctan2(steps[:, 1], steps[:, 0])
-    turn = np.angle(np.exp(1j * (path.waypoints[:-1, 2] - wanted)))
+    turn = np.angle(np.exp(1j * (path.yaws_rad[:-1] - wanted)))
     assert np.abs(turn).max() < 1e-6
 
 
@@ -95,7 +127,7 @@ def corridor(gap_m=1.0):
 
 def covered(pose, corners):
     """Points all over a footprint at a pose."""
-    x, y, yaw = pose
+    (x, y, _), yaw = pose.translation, pose.yaw_rad
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     px, py = np.meshgrid(np.arange(low[0], high[0] + 1e-9, 0.02), np.arange(low[1], high[1] + 1e-9, 0.02))
     return np.stack([x + px * np.cos(yaw) - py * np.sin(yaw), y + px * np.sin(yaw) + py * np.cos(yaw)], -1)
@@ -107,14 +139,14 @@ def test_a_car_steers_through_a_door_and_covers_nothing(client):
     options = PathOptions(planner="hybrid", start_yaw_rad=0.0, goal_yaw_rad=np.pi, footprint=CAR, steering=steering)
     path = client.toolbox.plan_on_map(grid, (0.5, 3.0), (5.5, 4.5), options=options)
     assert isinstance(path, Path), path
-    assert np.allclose(path.waypoints[0], [0.5, 3.0, 0.0], atol=1e-6)
-    assert np.allclose(path.waypoints[-1, :2], [5.5, 4.5])
-    assert abs(np.angle(np.exp(1j * (path.waypoints[-1, 2] - np.pi)))) < 0.05
-    for pose in path.waypoints:
+    assert np.allclose([*path.waypoints[0], path.yaws_rad[0]], [0.5, 3.0, 0.0], atol=1e-6)
+    assert np.allclose(path.waypoints[-1], [5.5, 4.5])
+    assert abs(np.angle(np.exp(1j * (path.yaws_rad[-1] - np.pi)))) < 0.05
+    for pose in path.poses:
         cell = np.floor((covered(pose, CAR) - np.array(grid.origin)) / 0.05).astype(int)
         assert not grid.cells[cell[..., 1], cell[..., 0]].any()
-    turns = np.angle(np.exp(1j * np.diff(path.waypoints[:, 2])))
-    steps = np.linalg.norm(np.diff(path.waypoints[:, :2], axis=0), axis=1)
+    turns = np.angle(np.exp(1j * np.diff(path.yaws_rad)))
+    steps = np.linalg.norm(np.diff(path.waypoints, axis=0), axis=1)
     assert (np.abs(turns) <= steps / 0.7 * 1.1 + 1e-3).all()
     assert path.is_final
     assert client.toolbox.validate_on_map(grid, path, options=options) is None
@@ -143,7 +175,7 @@ def test_zones_are_kept_out_of_or_slow_the_robot(client):
     assert inside.reason == "goal_in_keep_out"
     misfit = client.toolbox.validate_on_map(grid, free, options=PathOptions(zones=[shut]))
     assert (misfit.reason, misfit.blocking.state) == ("blocked", "keep_out")
-    assert abs(misfit.pose[0] - 2.9) < 0.5
+    assert abs(misfit.pose.translation[0] - 2.9) < 0.5
 
 
 def test_a_nav2_map_is_planned_in_from_its_files(client, laser_session, tmp_path):
@@ -165,13 +197,13 @@ def test_a_nav2_map_is_planned_in_from_its_files(client, laser_session, tmp_path
 def test_a_path_is_checked_against_the_map_as_it_is_now(laser_session):
     path = laser_session.plan(world.to_map(2.4, 0.0), options=PathOptions(planner="any_angle"))
     assert laser_session.validate_path(path) is None
-    through = [[*world.to_map(0.0, 1.0), 0.0], [*world.to_map(1.6, 1.0), 0.0]]
+    through = [Pose.from_xy_yaw(*world.to_map(x, 1.0), 0.0) for x in (0.0, 1.6)]
     misfit = laser_session.validate_path(through)
     assert (misfit.pose_index, misfit.reason) == (0, "blocked")
-    assert abs(misfit.pose[0] - world.to_map(1.2, 1.0)[0]) < 0.4
-    outside = laser_session.validate_path([[90.0, 0, 0]])
+    assert abs(misfit.pose.translation[0] - world.to_map(1.2, 1.0)[0]) < 0.4
+    outside = laser_session.validate_path([Pose.from_xy_yaw(90.0, 0, 0)])
     assert (outside.pose_index, outside.reason, outside.blocking) == (0, "outside_map", None)
-    assert laser_session.validate_path(np.empty((0, 3))) is None
+    assert laser_session.validate_path([]) is None
 
 
 def test_a_watched_path_is_told_again_when_the_map_breaks_it(client):
@@ -226,7 +258,7 @@ def test_what_is_no_question_is_refused_with_its_field(client, laser_session):
     assert refused(wrong) == ("OUT_OF_RANGE", "map.grid.cells")
     assert refused(GridMap(cells=grid.cells, resolution_m=0.0))[1] == "map.grid.geometry.resolution_m"
     with pytest.raises(InvalidArgument) as error:
-        laser_session.validate_path([[0, 0, float("inf")]])
+        laser_session.validate_path([Pose.from_xy_yaw(0, 0, float("inf"))])
     assert error.value.field == "poses[0]"
 
 
@@ -251,7 +283,7 @@ def test_navigate_is_one_call_for_one_step(client):
     assert answer.pose.stamp_ns == world.stamp(2)
     assert answer.frame.pose == answer.pose
     assert isinstance(answer.outcome, Path), answer.outcome
-    assert np.linalg.norm(answer.outcome.waypoints[-1, :2] - goal) < 0.1
+    assert np.linalg.norm(answer.outcome.waypoints[-1] - goal) < 0.1
     assert answer.stamp.map_version == answer.pose.map_version
     assert len(session.trajectory()) == 3
     again = session.navigate(frame, goal=goal)

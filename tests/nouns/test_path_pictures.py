@@ -15,6 +15,7 @@ from percept import (
     PathColouring,
     PathOptions,
     PerceptError,
+    Pose,
     Zone,
 )
 
@@ -77,11 +78,11 @@ def test_where_there_is_no_path_the_reason_and_what_blocks_are_drawn(client):
 
 
 def test_a_given_path_is_drawn_as_it_is_with_its_first_misfit(client):
-    through_the_wall = np.array([[0.5, 5.5, 0.0], [6.0, 5.5, 0.0]])
+    through_the_wall = [Pose.from_xy_yaw(x, 5.5, 0.0) for x in (0.5, 6.0)]
     picture = client.toolbox.draw_path_on_map(HALL, path=through_the_wall)
     assert picture.outcome is None
     assert picture.misfit == client.toolbox.validate_on_map(HALL, through_the_wall)
-    assert picture.misfit.pose[0] == pytest.approx(3.0, abs=0.5)
+    assert picture.misfit.pose.translation[0] == pytest.approx(3.0, abs=0.5)
     assert count(client, picture.png, RED) > 50
     planned = client.toolbox.plan_on_map(HALL, START, GOAL)
     assert client.toolbox.draw_path_on_map(HALL, path=planned).misfit is None
@@ -108,12 +109,12 @@ def test_a_robot_that_does_not_know_where_it_is_is_drawn_a_reason(client):
     ("arguments", "field"),
     [
         ({}, "goal"),
-        ({"goal": GOAL, "path": np.zeros((2, 3))}, "goal"),
+        ({"goal": GOAL, "path": [Pose(), Pose()]}, "goal"),
         ({"goal": (np.nan, 0.0)}, "goal"),
         ({"goal": GOAL, "start": (0.0, np.inf)}, "start"),
-        ({"path": np.array([[0, 0, np.nan]])}, "poses[0]"),
-        ({"path": np.zeros((3, 2))}, "poses"),
-        ({"path": np.zeros((100_001, 3))}, "poses"),
+        ({"path": [Pose.from_xy_yaw(0, 0, np.nan)]}, "poses[0]"),
+        ({"path": np.zeros((3, 3))}, "poses[0]"),
+        ({"path": [Pose()] * 100_001}, "poses"),
         ({"goal": GOAL, "params": {"robot_radius_m": -1.0}}, "params"),
         ({"goal": GOAL, "options": PathOptions(footprint=[(0, 0), (1, 0)])}, "options.footprint"),
     ],

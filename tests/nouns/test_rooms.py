@@ -108,7 +108,7 @@ def test_the_way_to_a_room_goes_from_door_to_door(session):
     assert route.steps[0].door.center == pytest.approx([2.0, 2.2], abs=0.35)
     assert route.steps[1].door is None
     assert isinstance(route.outcome, Path)
-    assert route.outcome.waypoints[-1, :2] == pytest.approx(route.goal, abs=1e-6)
+    assert route.outcome.waypoints[-1] == pytest.approx(route.goal, abs=1e-6)
     assert at(rooms, route.goal).room_id == corridor.room_id
     # By number; in the room already.
     assert len(session.scene.route_to_room(left.room_id, start=LEFT).steps) == 1

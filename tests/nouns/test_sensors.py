@@ -15,8 +15,11 @@ from percept import (
     Pose,
     SensorSpec,
 )
+from percept._convert import geometry
+from percept._convert import sensors as convert
+from percept.v1 import sensor_pb2
 
-from support import robots, world
+from support import raw, robots, world
 
 
 def test_a_sensor_is_declared_and_listed_as_it_was_declared(client):
@@ -32,7 +35,7 @@ def test_a_sensor_is_declared_and_listed_as_it_was_declared(client):
 
 def test_a_declaration_may_change_until_it_has_sent(client):
     session = client.sessions.create(sensors=[world.LASER])
-    moved = dataclasses.replace(world.LASER, t_base_sensor=Pose.from_yaw(0.1, 0, 0))
+    moved = dataclasses.replace(world.LASER, t_base_sensor=Pose.from_xy_yaw(0.1, 0, 0))
     assert session.sensors.declare(moved).spec == moved
     session.send_scan("laser", stamp_ns=1, **world.scan(world.drive(1)[0]))
     assert session.sensors.declare(moved).spec == moved, "the same again is no change"
@@ -41,41 +44,98 @@ def test_a_declaration_may_change_until_it_has_sent(client):
     assert error.value.reason == "SENSOR_IN_USE"
 
 
-@pytest.mark.parametrize(
-    ("spec", "reason", "field"),
-    [
-        (SensorSpec("no spaces", kind="imu"), "ID_INVALID", "spec.sensor_id"),
-        (SensorSpec("a", kind="unspecified"), "ENUM_UNKNOWN", "spec.kind"),
-        (SensorSpec("a", kind="depth"), "FIELD_MISSING", "spec.intrinsics"),
-        (
-            SensorSpec("a", kind="imu", t_base_sensor=Pose(np.zeros(3), np.array([0, 0, 0, 2.0]))),
-            "QUATERNION_NOT_UNIT",
-            "spec.t_base_sensor",
-        ),
-        (SensorSpec("a", kind="imu", time_offset_s=float("nan")), "OUT_OF_RANGE", "spec.time_offset_s"),
-        (
-            SensorSpec("a", kind="depth", intrinsics=dataclasses.replace(world.INTRINSICS, fx_px=0.0)),
-            "OUT_OF_RANGE",
-            None,
-        ),
-        (
-            SensorSpec(
-                "a",
-                kind="depth",
-                intrinsics=dataclasses.replace(world.INTRINSICS, distortion_model="plumb_bob", distortion=(0.1,)),
-            ),
-            "SIZE_MISMATCH",
-            "spec.intrinsics.distortion",
-        ),
-    ],
-)
-def test_declarations_that_cannot_be_are_refused(client, spec, reason, field):
+#: What a declaration of a depth camera is changed to, as the client and as the contract have it.
+RIGHT = [
+    {"sensor_id": "x" * 64},
+    {"range_max_m": 1e4},
+    {"range_max_m": 1e-9},
+    {"time_offset_s": -1e6},
+    {"t_base_sensor": Pose.from_xyz(1e4, -1e4, 0)},
+    {"t_base_sensor": Pose(rotation=[0, 0, 0, 1.0009])},
+    {"width_px": 16384},
+    {"height_px": 1},
+    {"cx_px": -5.0},
+    {"distortion_model": "plumb_bob", "distortion": (0.1, 0, 0, 0, 0)},
+    {"distortion_model": "rational", "distortion": (0.0,) * 8},
+    {"distortion_model": "fisheye", "distortion": (0.0,) * 4},
+]
+NAN, INF = float("nan"), float("inf")
+WRONG = [
+    ({"sensor_id": ""}, "ID_INVALID", "sensor_id"),
+    ({"sensor_id": "x" * 65}, "ID_INVALID", "sensor_id"),
+    ({"sensor_id": "no spaces"}, "ID_INVALID", "sensor_id"),
+    ({"sensor_id": "ü"}, "ID_INVALID", "sensor_id"),
+    ({"sensor_id": "a\n"}, "ID_INVALID", "sensor_id"),
+    ({"kind": "unspecified"}, "ENUM_UNKNOWN", "kind"),
+    ({"intrinsics": None}, "FIELD_MISSING", "intrinsics"),
+    ({"t_base_sensor": Pose(rotation=[0, 0, 0, 2.0])}, "QUATERNION_NOT_UNIT", "t_base_sensor"),
+    ({"t_base_sensor": Pose(rotation=[0, 0, 0, 1.0011])}, "QUATERNION_NOT_UNIT", "t_base_sensor"),
+    ({"t_base_sensor": Pose(rotation=[0, 0, NAN, 1])}, "OUT_OF_RANGE", "t_base_sensor"),
+    ({"t_base_sensor": Pose.from_xyz(0, INF, 0)}, "OUT_OF_RANGE", "t_base_sensor"),
+    ({"t_base_sensor": Pose.from_xyz(0, -10000.1, 0)}, "OUT_OF_RANGE", "t_base_sensor.translation"),
+    ({"time_offset_s": NAN}, "OUT_OF_RANGE", "time_offset_s"),
+    ({"time_offset_s": INF}, "OUT_OF_RANGE", "time_offset_s"),
+    ({"range_max_m": 0.0}, "OUT_OF_RANGE", "range_max_m"),
+    ({"range_max_m": NAN}, "OUT_OF_RANGE", "range_max_m"),
+    ({"range_max_m": 10000.1}, "OUT_OF_RANGE", "range_max_m"),
+    ({"width_px": 0}, "OUT_OF_RANGE", "width_px"),
+    ({"height_px": 16385}, "OUT_OF_RANGE", "height_px"),
+    ({"fx_px": 0.0}, "OUT_OF_RANGE", "fx_px"),
+    ({"fy_px": INF}, "OUT_OF_RANGE", "fy_px"),
+    ({"cy_px": NAN}, "OUT_OF_RANGE", "cy_px"),
+    ({"distortion": (0.1,)}, "SIZE_MISMATCH", "distortion"),
+    ({"distortion_model": "plumb_bob", "distortion": (0.1,) * 4}, "SIZE_MISMATCH", "distortion"),
+    ({"distortion_model": "fisheye", "distortion": (0, 0, NAN, 0)}, "OUT_OF_RANGE", "distortion"),
+]
+LENS_FIELDS = {field.name for field in dataclasses.fields(CameraIntrinsics)}
+
+
+def made(change):
+    """The declaration as the client makes it."""
+    lens = {k: v for k, v in change.items() if k in LENS_FIELDS}
+    rest = {k: v for k, v in change.items() if k not in LENS_FIELDS}
+    return dataclasses.replace(world.CAMERA, **{"intrinsics": dataclasses.replace(world.INTRINSICS, **lens), **rest})
+
+
+def as_message(change):
+    """The same as a caller without the client sends it."""
+    out = convert.spec_to(world.CAMERA)
+    for name, value in change.items():
+        target = out.intrinsics if name in LENS_FIELDS else out
+        if name == "intrinsics":
+            out.ClearField(name)
+        elif name == "t_base_sensor":
+            out.t_base_sensor.CopyFrom(geometry.pose_to(value))
+        elif name == "distortion":
+            target.distortion[:] = value
+        elif name == "distortion_model":
+            target.distortion_model = sensor_pb2.DistortionModel.Value(f"DISTORTION_MODEL_{value.upper()}")
+        elif name == "kind":
+            out.kind = sensor_pb2.SENSOR_KIND_UNSPECIFIED
+        else:
+            setattr(target, name, value)
+    return out
+
+
+@pytest.mark.parametrize("change", RIGHT, ids=str)
+def test_what_the_server_takes_can_be_made(server, client, change):
+    assert client.sessions.create().sensors.declare(made(change))
+    with raw.Calls(server.grpc) as calls:
+        session = client.sessions.create()
+        request = {"session_id": session.session_id, "spec": as_message(change)}
+        assert calls("SensorsService/DeclareSensor", **request).ok
+
+
+@pytest.mark.parametrize(("change", "reason", "field"), WRONG, ids=str)
+def test_what_the_server_refuses_is_refused_when_it_is_made(server, client, change, reason, field):
+    with pytest.raises(ValueError, match=field) as error:
+        made(change)
+    assert (error.value.reason, error.value.field) == (reason, field)
     session = client.sessions.create()
-    with pytest.raises(InvalidArgument) as error:
-        session.sensors.declare(spec)
-    assert error.value.reason == reason
-    if field:
-        assert error.value.field == field
+    with raw.Calls(server.grpc) as calls:
+        request = {"session_id": session.session_id, "spec": as_message(change)}
+        answer = calls("SensorsService/DeclareSensor", **request)
+    assert (answer.code, answer.reason) == ("INVALID_ARGUMENT", reason)
     assert session.sensors.list() == []
 
 
@@ -228,7 +288,7 @@ def test_odometry_is_a_prior_where_scans_say_nothing(client):
     """A robot that only has wheels and a laser stands right between two scans 30 cm apart."""
     session = client.sessions.create(sensors=[world.LASER, SensorSpec("odom", kind="odometry")])
     start = world.drive(1)[0]
-    end = Pose.from_yaw(start.translation[0] + 0.3, 0.05, 0.1)
+    end = Pose.from_xy_yaw(start.translation[0] + 0.3, 0.05, 0.1)
     for i, pose in enumerate((start, end)):
         t_odom_base = Pose.from_matrix(np.linalg.inv(start.matrix) @ pose.matrix)
         session.send(OdometryFrame("odom", stamp_ns=world.stamp(10 * i), t_odom_base=t_odom_base))

@@ -256,5 +256,3 @@ def test_the_preset_goes_by_the_sensors_and_what_is_set_stands_over_it(client):
     usual = client.sessions.create().info()
     assert indoors.params == usual.params
     assert usual.params["preset"] == indoors.params["preset"]
-    with pytest.raises(InvalidArgument):
-        client.sessions.create(sensors=[SensorSpec("lidar", kind="lidar3d", range_max_m=-1.0)])

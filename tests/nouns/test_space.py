@@ -71,7 +71,7 @@ def test_rays_end_where_the_world_says(lidar_session):
 
 
 def box(x, y, z, size):
-    return OrientedBox(t_frame_box=Pose(np.array(at(x, y, z))), size_m=np.full(3, size))
+    return OrientedBox(t_frame_box=Pose.from_xyz(*at(x, y, z)), size_m=np.full(3, size))
 
 
 def test_boxes_are_free_where_nothing_stands(lidar_session):

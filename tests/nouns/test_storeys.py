@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from percept import FailedPrecondition, GridMap, InvalidArgument, NoPath, Path, PathOptions, StoreyOptions
+from percept import FailedPrecondition, GridMap, InvalidArgument, NoPath, Path, PathOptions, Pose, StoreyOptions
 
 from support import world
 
@@ -73,14 +73,14 @@ def test_a_path_is_planned_on_the_storey_that_is_asked_for(building):
     assert building.validate_path(above_it, options=upper) is None
     misfit = building.validate_path(above_it, options=lower)
     assert misfit is not None
-    assert np.linalg.norm(misfit.pose[:2] - BOX) < 1.0
+    assert np.linalg.norm(misfit.pose.translation[:2] - BOX) < 1.0
     picture = building.draw_path(BOX, start=START, options=upper)
     assert picture.outcome == above_it
     # The wall of the upper floor.
-    across = np.array([[4.0, 2.0, -1.2], [4.2, 0.0, 0.0], [7.0, 0.0, 0.0]])
+    across = [Pose.from_xy_yaw(4.0, 2.0, -1.2), Pose.from_xy_yaw(4.2, 0.0, 0.0), Pose.from_xy_yaw(7.0, 0.0, 0.0)]
     stopped = building.validate_path(across, options=upper)
     assert stopped is not None
-    assert 4.3 < stopped.pose[0] < 5.3
+    assert 4.3 < stopped.pose.translation[0] < 5.3
 
 
 def test_ground_that_is_not_of_the_storey_is_unknown(building):

@@ -113,7 +113,7 @@ def test_groups_are_told_apart_and_noise_is_noise(client, rng, method):
 def test_the_shape_of_a_box_is_that_of_the_box(client, rng):
     size = np.array([1.0, 0.5, 0.2])
     points = rng.uniform(-0.5, 0.5, (20000, 3)) * size
-    turn = Pose.from_yaw(0.3, -0.2, 0.5, z_m=1.0)
+    turn = Pose.from_xyz(0.3, -0.2, 1.0, yaw_rad=0.5)
     turned = (points @ turn.matrix[:3, :3].T + turn.translation).astype(np.float32)
     shape = client.toolbox.compute_shape_features(turned)
     assert np.allclose(shape.features.centroid, turn.translation, atol=0.02)
@@ -131,7 +131,7 @@ def test_the_shape_of_a_box_is_that_of_the_box(client, rng):
 
 def test_registration_finds_how_the_cloud_was_moved(client):
     target = world.cloud(world.drive(1)[0])
-    moved = Pose.from_yaw(0.1, -0.05, 0.03, z_m=0.02)
+    moved = Pose.from_xyz(0.1, -0.05, 0.02, yaw_rad=0.03)
     back = np.linalg.inv(moved.matrix)
     source = (target @ back[:3, :3].T + back[:3, 3]).astype(np.float32)
     for method in ("point_to_plane", "point_to_point"):

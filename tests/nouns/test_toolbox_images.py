@@ -17,7 +17,9 @@ def rng():
 
 def turn(axis, angle, translation):
     axis = np.asarray(axis, float) / np.linalg.norm(axis)
-    return Pose(np.asarray(translation, float), np.append(axis * np.sin(angle / 2), np.cos(angle / 2)))
+    return Pose(
+        translation=np.asarray(translation, float), rotation=np.append(axis * np.sin(angle / 2), np.cos(angle / 2))
+    )
 
 
 def seen(points, t_world_camera, rng, noise=NOISE_PX):

@@ -236,7 +236,7 @@ def test_filters_do_as_numpy_does(client, rng):
     assert np.array_equal(finite.points, holes[there])
     assert np.array_equal(finite.intensities, cloud.intensities[there])
 
-    turn = Pose.from_yaw(0.4, -0.3, 1.1, z_m=2.0)
+    turn = Pose.from_xyz(0.4, -0.3, 2.0, yaw_rad=1.1)
     moved = client.toolbox.transform_cloud(cloud, t_a_b=turn)
     rotation = turn.matrix[:3, :3]
     assert np.allclose(moved.points, cloud.points @ rotation.T + turn.translation, atol=1e-5)

@@ -53,7 +53,7 @@ def test_samples_are_as_many_as_asked_for_and_spread(client, rng):
 
 def test_crops_hold_what_numpy_says(client, rng):
     points = rng.uniform(-2, 2, (3000, 3)).astype(np.float32)
-    turn = Pose.from_yaw(0.3, -0.2, 0.7, z_m=0.1)
+    turn = Pose.from_xyz(0.3, -0.2, 0.1, yaw_rad=0.7)
     box = OrientedBox(t_frame_box=turn, size_m=(2.0, 1.0, 1.5))
     inverse = np.linalg.inv(turn.matrix)
     local = points @ inverse[:3, :3].T + inverse[:3, 3]
@@ -156,7 +156,7 @@ def test_every_method_finds_how_the_cloud_was_moved(client, rng, method):
     # A colour that is a function of the place.
     shade = (127 + 100 * np.sin(3 * points.sum(1))).astype(np.uint8)
     target = PointCloud(points, colours=np.repeat(shade[:, None], 3, axis=1))
-    moved = Pose.from_yaw(0.1, -0.05, 0.03, z_m=0.02)
+    moved = Pose.from_xyz(0.1, -0.05, 0.02, yaw_rad=0.03)
     back = np.linalg.inv(moved.matrix)
     source = PointCloud((points @ back[:3, :3].T + back[:3, 3]).astype(np.float32), colours=target.colours)
     found = client.toolbox.register_clouds(

@@ -67,7 +67,7 @@ def test_boxes_and_hull_of_a_turned_box_are_its_own(client, rng):
     size = np.array([1.0, 0.6, 0.3])
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
     inner = rng.uniform(-0.5, 0.5, (300, 3)) * size
-    turn = Pose(np.array([2.0, -1, 0.5]), np.array([0.2, 0.3, -0.1, (1 - 0.14) ** 0.5]))
+    turn = Pose(translation=np.array([2.0, -1, 0.5]), rotation=np.array([0.2, 0.3, -0.1, (1 - 0.14) ** 0.5]))
     points = (np.vstack([corners, inner]) @ turn.matrix[:3, :3].T + turn.translation).astype(np.float32)
     boxes = client.toolbox.fit_boxes(points)
     assert np.allclose(boxes.minimal.size_m, size, atol=1e-4)
@@ -160,7 +160,7 @@ def test_edges_tell_who_hides_whom(client):
 def test_colours_of_another_camera_lie_where_they_belong(client):
     depth = np.full((120, 160), 2.0, np.float32)
     # The colour camera stands 0.1 m to the right: what the depth camera sees at u it sees at u - 7.5.
-    t_colour_depth = Pose(np.array([-0.1, 0, 0]))
+    t_colour_depth = Pose.from_xyz(-0.1, 0, 0)
     columns = np.tile(np.arange(160, dtype=np.uint8), (120, 1))
     image = np.repeat(columns[:, :, None], 3, axis=2)
     colour, seen = client.toolbox.register_colour(

@@ -154,7 +154,7 @@ def test_unknown_frames_are_refused_with_those_that_there_are(laser_session, tar
 
 def test_a_sensor_that_has_the_name_of_a_frame_is_told_apart(client):
     session = client.sessions.create()
-    session.sensors.declare("odom", kind="odometry", t_base_sensor=Pose.from_yaw(0.5, 0.0, 0.0))
+    session.sensors.declare("odom", kind="odometry", t_base_sensor=Pose.from_xy_yaw(0.5, 0.0, 0.0))
     assert session.transform("base", "sensors/odom").t_target_source.translation[0] == 0.5
     with pytest.raises(FailedPrecondition):
         session.transform("base", "odom")
@@ -162,7 +162,7 @@ def test_a_sensor_that_has_the_name_of_a_frame_is_told_apart(client):
 
 def test_a_camera_without_scale_says_so_and_has_no_odom_in_the_past(client):
     session = client.sessions.create(sensors=[world.EYE])
-    poses = [Pose.from_yaw(-0.8, 0.05 * i, 0.0) for i in range(12)]
+    poses = [Pose.from_xy_yaw(-0.8, 0.05 * i, 0.0) for i in range(12)]
     for i, pose in enumerate(poses):
         session.send_colour("eye", stamp_ns=world.stamp(i), colour=world.colour_image(pose))
     trajectory = session.trajectory()

@@ -198,7 +198,7 @@ def test_a_session_under_an_id_that_is_used_again_has_another_etag(client, name)
 
 def test_a_sensor_changes_where_nothing_hangs_on_it(client):
     session = client.sessions.create(sensors=[world.LASER])
-    moved = Pose.from_yaw(0.1, 0.0, 0.0)
+    moved = Pose.from_xy_yaw(0.1, 0.0, 0.0)
     assert session.sensors.update("laser", t_base_sensor=moved).spec.t_base_sensor == moved
     session.sensors.update("laser", t_base_sensor=world.LASER.t_base_sensor, time_offset_s=0.5)
     send_scans(session, 0, 2)
@@ -217,7 +217,7 @@ def test_the_clock_of_wheels_that_have_sent_may_be_corrected(client):
     """Wheels whose stamps are 10 s late: once that is told, they are the prior of a scan that says nothing."""
     session = client.sessions.create(sensors=[world.LASER, SensorSpec("odom", kind="odometry")])
     start = world.drive(1)[0]
-    end = Pose.from_yaw(start.translation[0] + 0.3, 0.05, 0.1)
+    end = Pose.from_xy_yaw(start.translation[0] + 0.3, 0.05, 0.1)
     late_ns = 10 * 10**9
     session.send(OdometryFrame("odom", stamp_ns=1, t_odom_base=Pose()))
     with pytest.raises(Aborted):

@@ -22,7 +22,7 @@ class Recording:
     def __init__(self, folder):
         k = np.loadtxt(folder / "camera-intrinsics.txt")
         intrinsics = CameraIntrinsics(**SIZE, fx_px=k[0, 0], fy_px=k[1, 1], cx_px=k[0, 2], cy_px=k[1, 2])
-        base = Pose(np.zeros(3), OPTICAL)
+        base = Pose(rotation=OPTICAL)
         self.sensor = SensorSpec(
             "camera", kind="rgbd", t_base_sensor=base, intrinsics=intrinsics, overload_policy="block"
         )

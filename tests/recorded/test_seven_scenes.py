@@ -25,7 +25,7 @@ def camera_of(folder):
     intrinsics = CameraIntrinsics(
         width_px=640, height_px=480, fx_px=k[0, 0], fy_px=k[1, 1], cx_px=k[0, 2], cy_px=k[1, 2]
     )
-    base = Pose(np.zeros(3), OPTICAL)
+    base = Pose(rotation=OPTICAL)
     return SensorSpec("camera", kind="rgbd", t_base_sensor=base, intrinsics=intrinsics, overload_policy="block")
 
 

@@ -22,7 +22,7 @@ def laps() -> tuple[Pose, ...]:
         for k in range(4):
             share = k / 4
             x, y = ((1 - share) * a.translation + share * b.translation)[:2]
-            out.append(Pose.from_yaw(float(x), float(y), a.yaw_rad + share * math.radians(8.0)))
+            out.append(Pose.from_xy_yaw(float(x), float(y), a.yaw_rad + share * math.radians(8.0)))
     return tuple(out)
 
 

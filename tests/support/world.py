@@ -26,7 +26,7 @@ INTRINSICS = CameraIntrinsics(width_px=320, height_px=240, fx_px=290.0, fy_px=29
 CAMERA = SensorSpec(
     "camera",
     kind="depth",
-    t_base_sensor=Pose(np.array([0.0, 0.0, CAMERA_HEIGHT_M]), OPTICAL),
+    t_base_sensor=Pose(translation=np.array([0.0, 0.0, CAMERA_HEIGHT_M]), rotation=OPTICAL),
     intrinsics=INTRINSICS,
     overload_policy="block",
 )
@@ -42,13 +42,13 @@ WHEELS = SensorSpec("wheels", kind="odometry", overload_policy="block")
 LASER = SensorSpec(
     "laser",
     kind="lidar2d",
-    t_base_sensor=Pose(np.array([0.0, 0.0, LASER_HEIGHT_M])),
+    t_base_sensor=Pose.from_xyz(0.0, 0.0, LASER_HEIGHT_M),
     overload_policy="block",
 )
 LIDAR = SensorSpec(
     "lidar",
     kind="lidar3d",
-    t_base_sensor=Pose(np.array([0.0, 0.0, CAMERA_HEIGHT_M])),
+    t_base_sensor=Pose.from_xyz(0.0, 0.0, CAMERA_HEIGHT_M),
     overload_policy="block",
 )
 
@@ -124,7 +124,7 @@ def drive(steps: int) -> list[Pose]:
     """World poses of a robot on a gentle arc from the middle of the room: 2 cm and 1 degree a step."""
     poses, x, y, yaw = [], -0.8, 0.0, 0.0
     for _ in range(steps):
-        poses.append(Pose.from_yaw(x, y, yaw))
+        poses.append(Pose.from_xy_yaw(x, y, yaw))
         x, y = x + 0.02 * np.cos(yaw), y + 0.02 * np.sin(yaw)
         yaw += np.radians(1.0)
     return poses
@@ -138,7 +138,7 @@ def circle() -> list[Pose]:
     """World poses of one round within the room, 1.15 m from its middle: 16 cm and 8 degrees a step."""
     poses, x, y, yaw = [], -0.8, -1.1, 0.0
     for _ in range(ROUND):
-        poses.append(Pose.from_yaw(x, y, yaw))
+        poses.append(Pose.from_xy_yaw(x, y, yaw))
         yaw += np.radians(4.0)
         x, y = x + 0.16 * np.cos(yaw), y + 0.16 * np.sin(yaw)
         yaw += np.radians(4.0)

@@ -50,6 +50,7 @@ from .errors import (
     StreamBroken,
     Unauthenticated,
     Unavailable,
+    WrongType,
 )
 from .types import (
     Blocking,
@@ -120,6 +121,7 @@ from .types import (
     Keyframe,
     LabelledBox,
     LifeStep,
+    Listing,
     LocalFeatures,
     Loop,
     LoopState,
@@ -344,6 +346,7 @@ __all__ = [
     "Keyframe",
     "LabelledBox",
     "LifeStep",
+    "Listing",
     "LocalFeatures",
     "Loop",
     "LoopState",
@@ -488,6 +491,7 @@ __all__ = [
     "Voxels",
     "WaitingFor",
     "Watch",
+    "WrongType",
     "Zone",
     "ZoneMask",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Sequence
 from typing import Any
@@ -47,6 +48,17 @@ def vector(field: str, value: object, length: int) -> npt.NDArray[np.float64]:
         message = f"{field} must be {length} numbers, not {value!r}"
         raise InvalidArgument(message, reason="ARRAY_INVALID", field=field)
     return array
+
+
+def number(field: str, value: object, *, low: float = -math.inf, high: float = math.inf, must: str) -> float:
+    """A number above `low` and at most `high`, neither infinite nor NaN; `must` says so in words."""
+    try:
+        read = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        read = math.nan
+    if math.isfinite(read) and low < read <= high:
+        return read
+    raise InvalidArgument(f"{field} is {value!r}; it must be {must}", reason="OUT_OF_RANGE", field=field)
 
 
 def stamp(value: object) -> int:

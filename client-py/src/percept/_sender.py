@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from ._arrays import Array
+from .types.cloud import PointCloud
 from .types.frames import (
     CameraFrame,
     CloudFrame,
@@ -19,7 +20,7 @@ from .types.frames import (
     ScanFrame,
     SensorFrame,
 )
-from .types.geometry import PointCloud, Pose
+from .types.geometry import Pose
 
 R = TypeVar("R")
 

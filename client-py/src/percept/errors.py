@@ -2,6 +2,7 @@
 
 PerceptError
 ├── InvalidArgument         the request is wrong: mend it (also a ValueError)
+│   └── WrongType           an argument is of no type that fits, or could be misread (also a TypeError)
 ├── Unauthenticated         the server does not know who asks: token or certificate missing, wrong, expired
 ├── PermissionDenied        it knows, and does not allow it (also a PermissionError)
 ├── NotFound                what was named does not exist
@@ -70,6 +71,10 @@ class InvalidArgument(PerceptError, ValueError):
     """The request is wrong whatever the state of the server."""
 
     code = "INVALID_ARGUMENT"
+
+
+class WrongType(InvalidArgument, TypeError):
+    """An argument is of no type that fits, or of one that could be misread: (x, y, yaw) for (x, y, z)."""
 
 
 class Unauthenticated(PerceptError):

@@ -136,7 +136,7 @@ def crops(toolbox, points):
     import open3d as o3d
     from percept import OrientedBox, Pose
 
-    box = OrientedBox(t_frame_box=Pose.from_yaw(0.2, 0.1, 0.6, z_m=1.4), size_m=(0.8, 0.7, 0.9))
+    box = OrientedBox(t_frame_box=Pose.from_xyz(0.2, 0.1, 1.4, yaw_rad=0.6), size_m=(0.8, 0.7, 0.9))
     pose = box.t_frame_box.matrix
     theirs = o3d.geometry.OrientedBoundingBox(pose[:3, 3], pose[:3, :3], box.size_m)
     expected = theirs.get_point_indices_within_bounding_box(legacy(points).points)

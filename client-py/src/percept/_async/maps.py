@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 from typing import Literal, overload
 
 from .._arrays import Array
@@ -30,6 +30,7 @@ from ..types.maps import (
 )
 from .bound import AsyncSessionBound
 from .operations import AsyncOperation, started
+from .pages import AsyncPages
 
 
 def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
@@ -87,7 +88,7 @@ class AsyncMaps(AsyncSessionBound):
         call = convert.get_cloud(self.session_id, centre, radius_m, voxel_size_m, max_points, max_error_m)
         return await self._transport.chunks(call)
 
-    def loops(self, *, page_size: int = 0) -> AsyncIterator[Loop]:
+    def loops(self, *, page_size: int = 0) -> AsyncPages[Loop]:
         """Loops that were found, believed or not, by number; pages are asked for as they are used."""
         return self._transport.pages(convert.list_loops(self.session_id, page_size))
 

@@ -12,6 +12,7 @@ from .._rpc import A, Q
 from ..errors import DeadlineExceeded, error_of
 from ..types.operations import OperationInfo, OperationState
 from .bound import AsyncBound
+from .pages import AsyncPages
 from .transport import AsyncTransport
 
 T = TypeVar("T")
@@ -97,7 +98,7 @@ class AsyncOperations(AsyncBound):
         state: OperationState | str | None = None,
         session_pattern: str = "",
         page_size: int = 0,
-    ) -> AsyncIterator[OperationInfo]:
+    ) -> AsyncPages[OperationInfo]:
         """Oldest first; only those in a state, or about sessions whose id fits (robot-*)."""
         return self._transport.pages(convert.list_operations(state, session_pattern, page_size))
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from .._convert import sensors as convert
 from ..types.geometry import CameraIntrinsics, Pose
+from ..types.listing import Listing
 from ..types.sensors import OverloadPolicy, SensorKind, SensorSpec, SensorStatus
 from .bound import AsyncSessionBound
 
@@ -21,10 +20,22 @@ class AsyncSensors(AsyncSessionBound):
         t_base_sensor: Pose | None = None,
         intrinsics: CameraIntrinsics | None = None,
         time_offset_s: float = 0.0,
+        range_max_m: float | None = None,
         overload_policy: OverloadPolicy | str = OverloadPolicy.UNSPECIFIED,
     ) -> SensorStatus:
-        """Declares a sensor, given whole or by its name and parts."""
-        spec = _spec(sensor, kind, t_base_sensor, intrinsics, time_offset_s, overload_policy)
+        """Declares a sensor, given whole or by its name and parts, which are those of SensorSpec."""
+        if isinstance(sensor, SensorSpec):
+            spec = sensor
+        else:
+            spec = SensorSpec(
+                sensor,
+                kind=kind,
+                t_base_sensor=Pose() if t_base_sensor is None else t_base_sensor,
+                intrinsics=intrinsics,
+                time_offset_s=time_offset_s,
+                range_max_m=range_max_m,
+                overload_policy=overload_policy,
+            )
         return await self._transport.call(convert.declare(self.session_id, spec))
 
     async def get(self, sensor_id: str) -> SensorStatus:
@@ -49,26 +60,6 @@ class AsyncSensors(AsyncSessionBound):
         )
         return await self._transport.call(call)
 
-    async def list(self) -> Sequence[SensorStatus]:
+    async def list(self) -> Listing[SensorStatus]:
         """All sensors with what the server sees of their streams."""
         return await self._transport.call(convert.list_sensors(self.session_id))
-
-
-def _spec(
-    sensor: SensorSpec | str,
-    kind: SensorKind | str,
-    t_base_sensor: Pose | None,
-    intrinsics: CameraIntrinsics | None,
-    time_offset_s: float,
-    overload_policy: OverloadPolicy | str,
-) -> SensorSpec:
-    if isinstance(sensor, SensorSpec):
-        return sensor
-    return SensorSpec(
-        sensor,
-        kind=kind,
-        t_base_sensor=t_base_sensor or Pose(),
-        intrinsics=intrinsics,
-        time_offset_s=time_offset_s,
-        overload_policy=overload_policy,
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Mapping, Sequence
 
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
@@ -15,10 +15,12 @@ from ..types.exploration import (
     NoFlight,
 )
 from ..types.frames import SensorFrame
+from ..types.geometry import FloorPoint, Pose
 from ..types.navigation import (
     Misfit,
     Navigation,
     NoPath,
+    NoPathReason,
     Path,
     PathColouring,
     PathOptions,
@@ -27,11 +29,13 @@ from ..types.navigation import (
     ZoneMask,
 )
 from ..types.poses import FrameResult, PoseAt, PoseEstimate, Transform
+from ..types.scene import Object
 from ..types.sensors import SensorSpec
 from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode, SessionState, Trajectory
 from .bound import AsyncBound, AsyncSessionBound
 from .layers import AsyncSpace
 from .maps import AsyncMaps
+from .pages import AsyncPages
 from .scene import AsyncScene
 from .sensors import AsyncSensors
 from .stream import AsyncFrameStream
@@ -177,42 +181,71 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
         return await self._transport.chunks(call)
 
-    def keyframes(self, *, page_size: int = 0) -> AsyncIterator[Keyframe]:
+    def keyframes(self, *, page_size: int = 0) -> AsyncPages[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""
         return self._transport.pages(sessions.keyframes(self.session_id, page_size))
 
     async def plan(
         self,
-        goal: Sequence[float],
+        goal: FloorPoint,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Path | NoPath:
         """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
-        which planner, with which footprint and headings, around which zones."""
+        which planner, with which footprint and headings, around which zones. Ends may be poses: the HYBRID
+        planner keeps to their headings, unless the options name others. No path is an answer, with its
+        reason; three bare numbers are refused (WrongType), for x, y, z and x, y, yaw look alike."""
         return await self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    async def plan_to(
+        self,
+        thing: Object | int,
+        *,
+        gap_m: float = 0.5,
+        start: FloorPoint | None = None,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Path | NoPath:
+        """A path to beside an object, or to the one of this number: base stops gap_m (metres) from its box,
+        or up to twice that where it does not fit there, and looks at it (HYBRID planner). Of the places
+        around it the first is taken that can be reached, nearest to the robot first; if none can, the answer
+        is why not the nearest. Raises NotFound if there is no such object."""
+        target = thing if isinstance(thing, Object) else await self.scene.object(thing)
+        pose = await self.pose() if start is None else None
+        here = start if pose is None else pose.t_map_base
+        nearest: NoPath | None = None
+        for place in navigation.places_beside(target.box, gap_m, here):
+            found = await self.plan(place, start=start, params=params, options=options)
+            if isinstance(found, Path):
+                return found
+            nearest = nearest or found
+            # It is not for the goal that there is none.
+            if found.reason == NoPathReason.LOST or str(found.reason).startswith("start_"):
+                return found
+        assert nearest is not None
+        return nearest
 
     async def draw_path(
         self,
-        goal: Sequence[float] | None = None,
+        goal: FloorPoint | None = None,
         *,
-        path: Path | object | None = None,
-        start: Sequence[float] | None = None,
+        path: Path | Sequence[Pose] | None = None,
+        start: FloorPoint | None = None,
         colouring: PathColouring | str = PathColouring.CLEARANCE,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> PathPicture:
         """plan() as a picture: the map with the path coloured along it, footprints, zones, legend and scale
-        bar, or with why there is none and the first cell that blocks the way. With `path` (or (N, 3) poses:
-        x m, y m, yaw rad, map frame) that is drawn as it is, with the first place of it that the robot cannot
-        drive."""
+        bar, or with why there is none and the first cell that blocks the way. With `path` (or poses of base
+        in the map) that is drawn as it is, with the first place of it that the robot cannot drive."""
         call = drawing.draw_path(self.session_id, goal, path, start, colouring, params, options)
         return await self._transport.call(call)
 
     def watch_path(
         self,
-        goal: Sequence[float],
+        goal: FloorPoint,
         *,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
@@ -225,19 +258,19 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
 
     async def validate_path(
         self,
-        path: Path | object,
+        path: Path | Sequence[Pose],
         *,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Misfit | None:
-        """The first place of a path, or of (N, 3) poses (x m, y m, yaw rad), that the robot cannot drive as
-        the map is now; None if all of it can be driven."""
+        """The first place of a path, or of poses of base in the map, that the robot cannot drive as the map
+        is now; None if all of it can be driven."""
         return await self._transport.call(navigation.validate(self.session_id, path, params, options))
 
     async def plan_coverage(
         self,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         coverage: CoverageOptions = _COVERAGE,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
@@ -249,7 +282,7 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
     async def frontiers(
         self,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         min_length_m: float = 0.5,
         gain: float = 0.0,
         params: Mapping[str, object] | None = None,
@@ -280,7 +313,7 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         self,
         frame: SensorFrame,
         *,
-        goal: Sequence[float],
+        goal: FloorPoint,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Navigation:
@@ -322,10 +355,11 @@ class AsyncSessions(AsyncBound):
         labels: str = "",
         order_by: str = "",
         page_size: int = 0,
-    ) -> AsyncIterator[SessionInfo]:
+    ) -> AsyncPages[SessionInfo]:
         """Sessions, all or those in a state, whose ids fit a pattern (robot-*), with labels ("site=north",
         or "site" for any value; several with commas). By id, or "create_time_ns" or "last_used_ns", " desc"
-        for the last ones first. Pages are asked for as they are used. None is woken by it."""
+        for the last ones first. Pages are asked for as they are used, `.all()` gives a list of all. None is
+        woken by it."""
         return self._transport.pages(sessions.list_sessions(state, pattern, labels, order_by, page_size))
 
     def watch(

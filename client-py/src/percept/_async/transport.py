@@ -29,6 +29,7 @@ from .._parts import joined
 from .._rpc import A, Q, Rpc
 from ..errors import PerceptError, client_closed, error_of_rpc
 from . import _runtime as runtime
+from .pages import AsyncPages
 
 T = TypeVar("T")
 
@@ -174,8 +175,11 @@ class AsyncTransport:
 
         return call.read(await self._tried(False, attempt))
 
-    async def pages(self, call: PagedCall[Q, A, T]) -> AsyncIterator[T]:
+    def pages(self, call: PagedCall[Q, A, T]) -> AsyncPages[T]:
         """The elements of all pages, asked for as they are used."""
+        return AsyncPages(self._elements(call))
+
+    async def _elements(self, call: PagedCall[Q, A, T]) -> AsyncIterator[T]:
         request: Any = type(call.request)()
         request.CopyFrom(call.request)
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from .. import _rpc
 from .._call import Call
 from ..errors import InvalidArgument
+from ..types.geometry import FloorPoint, Pose
 from ..types.maps import MapComparison, MapStamp
 from ..types.navigation import NoPath, Path, PathColouring, PathOptions, PathPicture
 from ..v1 import maps_service_pb2, navigation_service_pb2, params_pb2, path_pb2, toolbox_planning_service_pb2
@@ -27,7 +28,7 @@ def _picture(
     return PathPicture(png=answer.png, outcome=outcome, misfit=misfit, stamp=stamp)
 
 
-def _one_of(goal: Sequence[float] | None, path: object | None) -> None:
+def _one_of(goal: FloorPoint | None, path: Path | Sequence[Pose] | None) -> None:
     if (goal is None) == (path is None):
         message = "give a goal to plan to, or a path to draw, and not both"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="goal")
@@ -35,9 +36,9 @@ def _one_of(goal: Sequence[float] | None, path: object | None) -> None:
 
 def draw_path(
     session_id: str,
-    goal: Sequence[float] | None,
-    path: Path | object | None,
-    start: Sequence[float] | None,
+    goal: FloorPoint | None,
+    path: Path | Sequence[Pose] | None,
+    start: FloorPoint | None,
     colouring: PathColouring | str,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
@@ -45,10 +46,10 @@ def draw_path(
     _one_of(goal, path)
     request = navigation_service_pb2.DrawPathRequest(
         source=maps.source(session_id),
-        start=None if start is None else geometry.vector2_to("start", start),
-        goal=None if goal is None else geometry.vector2_to("goal", goal),
+        start=None if start is None else geometry.floor_to("start", start),
+        goal=None if goal is None else geometry.floor_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=navigation.options_to(options),
+        options=navigation.options_to(options, start, goal),
         poses=() if path is None else navigation.poses_to(path),
         colouring=words.number("colouring", path_pb2.PathColouring, colouring),
     )
@@ -57,9 +58,9 @@ def draw_path(
 
 def draw_path_on_map(
     given: planning.Map,
-    start: Sequence[float] | None,
-    goal: Sequence[float] | None,
-    path: Path | object | None,
+    start: FloorPoint | None,
+    goal: FloorPoint | None,
+    path: Path | Sequence[Pose] | None,
     colouring: PathColouring | str,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
@@ -71,10 +72,10 @@ def draw_path_on_map(
     _one_of(goal, path)
     request = toolbox_planning_service_pb2.DrawPathOnMapRequest(
         map=planning.map_to(given),
-        start=None if start is None else geometry.vector2_to("start", start),
-        goal=None if goal is None else geometry.vector2_to("goal", goal),
+        start=None if start is None else geometry.floor_to("start", start),
+        goal=None if goal is None else geometry.floor_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=navigation.options_to(options),
+        options=navigation.options_to(options, start, goal),
         poses=() if path is None else navigation.poses_to(path),
         colouring=words.number("colouring", path_pb2.PathColouring, colouring),
     )

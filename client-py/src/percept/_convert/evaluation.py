@@ -35,7 +35,7 @@ def _rows(field: str, poses: Array, count: int) -> list[g.Pose]:
     same_length(field, rows, count)
     if rows.ndim == 3:
         return [geometry.pose_to(Pose.from_matrix(row)) for row in rows]
-    return [geometry.pose_to(Pose(row[:3], row[3:])) for row in rows]
+    return [geometry.pose_to(Pose(translation=row[:3], rotation=row[3:])) for row in rows]
 
 
 def _poses(field: str, trajectory: Trajectory | tuple[Array, Array]) -> Iterable[evaluation_pb2.StampedPose]:

@@ -16,6 +16,7 @@ from ..types.exploration import (
     Frontier,
     NoFlight,
 )
+from ..types.geometry import FloorPoint
 from ..types.navigation import BlockingState, NoPath, NoPathReason, PathOptions
 from ..v1 import layers_service_pb2, params_pb2, path_pb2
 from ..v1 import navigation_service_pb2 as service
@@ -24,16 +25,16 @@ from . import geometry, maps, navigation, words
 
 def coverage(
     session_id: str,
-    start: Sequence[float] | None,
+    start: FloorPoint | None,
     coverage: CoverageOptions,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
 ) -> Call[service.PlanCoverageRequest, service.PlanCoverageResponse, CoveragePath | NoPath]:
     request = service.PlanCoverageRequest(
         source=maps.source(session_id),
-        start=None if start is None else geometry.vector2_to("start", start),
+        start=None if start is None else geometry.floor_to("start", start),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=navigation.options_to(options),
+        options=navigation.options_to(options, start),
         coverage=path_pb2.CoverageOptions(
             tool_width_m=coverage.tool_width_m,
             overlap=coverage.overlap,
@@ -61,7 +62,7 @@ def _covered(answer: service.PlanCoverageResponse) -> CoveragePath | NoPath:
 
 def frontiers(
     session_id: str,
-    start: Sequence[float] | None,
+    start: FloorPoint | None,
     min_length_m: float,
     gain: float,
     params: Mapping[str, object] | None,
@@ -69,11 +70,11 @@ def frontiers(
 ) -> Call[service.FindFrontiersRequest, service.FindFrontiersResponse, list[Frontier]]:
     request = service.FindFrontiersRequest(
         source=maps.source(session_id),
-        start=None if start is None else geometry.vector2_to("start", start),
+        start=None if start is None else geometry.floor_to("start", start),
         params=words.message_of("params", params_pb2.PlanningParams, params),
         min_length_m=min_length_m,
         gain=gain,
-        options=navigation.options_to(options),
+        options=navigation.options_to(options, start),
     )
     return Call(_rpc.FIND_FRONTIERS, request, lambda a: [_frontier(f) for f in a.frontiers])
 

@@ -9,8 +9,18 @@ import numpy as np
 import numpy.typing as npt
 
 from .._arrays import Array, vector
-from ..errors import InvalidArgument
-from ..types.geometry import CameraIntrinsics, DistortionModel, OrientedBox, Plane, PointCloud, Pose
+from ..errors import InvalidArgument, WrongType
+from ..types._value import told
+from ..types.cloud import PointCloud
+from ..types.geometry import (
+    CameraIntrinsics,
+    DistortionModel,
+    FloorPoint,
+    OrientedBox,
+    Plane,
+    Pose,
+    as_pose,
+)
 from ..v1 import geometry_pb2 as g
 from ..v1 import layers_service_pb2, sensor_pb2
 from . import words
@@ -38,9 +48,26 @@ def vector2(message: g.Vector2) -> npt.NDArray[np.float64]:
     return np.array([message.x, message.y])
 
 
-def pose_to(pose: Pose | Array) -> g.Pose:
+def floor_to(field: str, value: FloorPoint) -> g.Vector2:
+    """A place on the floor as a message: (x, y) in metres, or a pose there."""
+    if isinstance(value, Pose):
+        return vector2_to(field, value.translation[:2])
+    try:
+        length = len(value)
+    except TypeError:
+        length = 0
+    if length == 2:
+        return vector2_to(field, value)
+    message = (
+        f"{field} is {value!r}, which is no place on the floor; x, y, z and x, y, yaw look alike: "
+        "give (x, y) in metres of the map, or Pose.from_xy_yaw(x, y, yaw)"
+    )
+    raise WrongType(message, reason="PLACE_INVALID", field=field)
+
+
+def pose_to(value: Pose | Array, field: str = "pose") -> g.Pose:
     """A pose, or its (4, 4) matrix, as a message."""
-    pose = pose if isinstance(pose, Pose) else Pose.from_matrix(pose)
+    pose = as_pose(field, value)
     x, y, z, w = pose.rotation.tolist()
     translation = vector3_to("translation", pose.translation)
     return g.Pose(translation=translation, rotation=g.Quaternion(x=x, y=y, z=z, w=w))
@@ -50,7 +77,7 @@ def pose(message: g.Pose) -> Pose:
     """Absent parts are zero and no rotation."""
     q = message.rotation
     rotation = np.array([q.x, q.y, q.z, q.w]) if message.HasField("rotation") else np.array([0.0, 0, 0, 1])
-    return Pose(vector3(message.translation), rotation)
+    return Pose(translation=vector3(message.translation), rotation=rotation)
 
 
 def covariance(message: g.Covariance6) -> npt.NDArray[np.float64]:
@@ -97,7 +124,8 @@ def intrinsics(message: sensor_pb2.CameraIntrinsics) -> CameraIntrinsics:
     else:
         name = sensor_pb2.DistortionModel.Name(message.distortion_model)
         model = DistortionModel(name.removeprefix("DISTORTION_MODEL_").lower())
-    return CameraIntrinsics(
+    return told(
+        CameraIntrinsics,
         width_px=message.width_px,
         height_px=message.height_px,
         fx_px=message.fx_px,

@@ -8,7 +8,8 @@ import pathlib
 from .. import _rpc
 from .._arrays import Array
 from .._call import Call
-from ..types.geometry import PointCloud, Pose
+from ..types.cloud import PointCloud
+from ..types.geometry import Pose
 from ..types.maps import MapImported, OccupancyGrid
 from ..types.navigation import GridMap
 from ..types.sensors import SensorKind
@@ -51,7 +52,7 @@ def import_map(
 ) -> Call[service.ImportMapRequest, service.ImportMapResponse, MapImported]:
     out = service.ImportMapRequest(
         source=maps.source(session_id),
-        start=None if start is None else geometry.pose_to(start),
+        start=None if start is None else geometry.pose_to(start, "start"),
         sensor_height_m=sensor_height_m or 0.0,
         voxel_size_m=voxel_size_m or 0.0,
     )

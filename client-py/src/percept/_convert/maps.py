@@ -10,7 +10,7 @@ import numpy as np
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
 from ..errors import Internal, InvalidArgument
-from ..types.geometry import PointCloud
+from ..types.cloud import PointCloud
 from ..types.maps import (
     GridGeometry,
     Loop,

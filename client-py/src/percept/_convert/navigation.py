@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .. import _rpc
+from .._arrays import number
 from .._call import Call
-from ..errors import InvalidArgument
 from ..types.frames import SensorFrame
+from ..types.geometry import FloorPoint, OrientedBox, Pose, as_pose
 from ..types.maps import MapStamp
 from ..types.navigation import (
     Blocking,
@@ -37,10 +39,11 @@ from . import geometry, maps, poses, scene, sensors, words
 def path(message: path_pb2.Path, stamp: MapStamp | None) -> Path:
     """A path."""
     points = message.waypoints
-    waypoints = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in points], dtype=np.float64)
+    waypoints = np.array([(p.x_m, p.y_m) for p in points], dtype=np.float64)
     clearances = [p.clearance_m if p.HasField("clearance_m") else np.inf for p in points]
     return Path(
-        waypoints=waypoints.reshape(-1, 3),
+        waypoints=waypoints.reshape(-1, 2),
+        yaws_rad=np.array([p.yaw_rad for p in points], np.float64),
         length_m=message.length_m,
         cost=message.cost,
         min_clearance_m=message.min_clearance_m,
@@ -80,7 +83,7 @@ def misfit(message: path_pb2.Misfit) -> Misfit:
     pose = message.pose
     return Misfit(
         pose_index=message.pose_index,
-        pose=np.array([pose.x_m, pose.y_m, pose.yaw_rad]),
+        pose=Pose.from_xy_yaw(pose.x_m, pose.y_m, pose.yaw_rad),
         reason=words.word(MisfitReason, path_pb2.MisfitReason, message.reason),
         blocking=_blocking(message.blocking) if message.HasField("blocking") else None,
     )
@@ -112,8 +115,16 @@ def _storey(storey: StoreyOptions) -> path_pb2.StoreyOptions:
     )
 
 
-def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
-    """Options as a message."""
+def options_to(
+    options: PathOptions | None, start: FloorPoint | None = None, goal: FloorPoint | None = None
+) -> path_pb2.PathOptions | None:
+    """Options as a message; headings that they leave open are those of ends that are poses."""
+    if isinstance(start, Pose) or isinstance(goal, Pose):
+        options = options or PathOptions()
+        if isinstance(start, Pose) and options.start_yaw_rad is None:
+            options = dataclasses.replace(options, start_yaw_rad=start.yaw_rad)
+        if isinstance(goal, Pose) and options.goal_yaw_rad is None:
+            options = dataclasses.replace(options, goal_yaw_rad=goal.yaw_rad)
     if options is None:
         return None
     speed, steering = options.speed, options.steering
@@ -132,13 +143,38 @@ def options_to(options: PathOptions | None) -> path_pb2.PathOptions | None:
     )
 
 
-def poses_to(poses: object) -> list[geometry_pb2.Pose2]:
-    """(N, 3) poses, or a path's, as messages."""
-    rows = np.asarray(poses.waypoints if isinstance(poses, Path) else poses, np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 3:
-        message = f"poses has the shape {rows.shape}; give (N, 3): x m, y m, yaw rad"
-        raise InvalidArgument(message, reason="SIZE_MISMATCH", field="poses")
-    return [geometry_pb2.Pose2(x_m=x, y_m=y, yaw_rad=yaw) for x, y, yaw in rows.tolist()]
+def poses_to(poses: Path | Sequence[Pose]) -> list[geometry_pb2.Pose2]:
+    """Poses on the floor, or a path's, as messages."""
+    if isinstance(poses, Path):
+        rows = np.column_stack([poses.waypoints, poses.yaws_rad]).tolist()
+    else:
+        given = [as_pose(f"poses[{i}]", pose) for i, pose in enumerate(poses)]
+        rows = [(*pose.translation[:2].tolist(), pose.yaw_rad) for pose in given]
+    return [geometry_pb2.Pose2(x_m=x, y_m=y, yaw_rad=yaw) for x, y, yaw in rows]
+
+
+def places_beside(box: OrientedBox, gap_m: float, start: FloorPoint | None) -> list[Pose]:
+    """Poses around a box that look at its middle: at the gap from its sides, then farther, to twice that; of
+    each distance, those nearest to the start first."""
+    number("gap_m", gap_m, low=0, high=1e3, must="above 0 and at most 1000 m")
+    here = box.centre[:2]
+    if start is not None:
+        place = geometry.floor_to("start", start)
+        here = np.array([place.x, place.y])
+    centre_x, centre_y = box.centre[:2].tolist()
+    t_map_box = Pose.from_xy_yaw(centre_x, centre_y, box.t_frame_box.yaw_rad)
+    ways = np.arange(12) * np.pi / 6
+    along = np.stack([np.cos(ways), np.sin(ways), np.zeros(12)], axis=1)
+    found = []
+    for gap in (gap_m, 1.5 * gap_m, 2 * gap_m):
+        # Where the ray from the middle leaves the rectangle.
+        half = box.size_m[:2] / 2 + gap
+        with np.errstate(divide="ignore"):
+            reach = (half / np.abs(along[:, :2])).min(axis=1)
+        places = t_map_box.apply(along * reach[:, None])[:, :2]
+        for x, y in places[np.argsort(np.linalg.norm(places - here, axis=1), kind="stable")].tolist():
+            found.append(Pose.from_xy_yaw(x, y, math.atan2(centre_y - y, centre_x - x)))
+    return found
 
 
 def _outcome(
@@ -159,7 +195,7 @@ def update(answer: service.WatchPathResponse) -> PathUpdate:
 
 
 def route_to_room(
-    session_id: str, to: int | str, start: Sequence[float] | None
+    session_id: str, to: int | str, start: FloorPoint | None
 ) -> Call[scene_service_pb2.RouteToRoomRequest, scene_service_pb2.RouteToRoomResponse, RoomRoute]:
     """The way to a room, by number or name."""
     request = scene_service_pb2.RouteToRoomRequest(session_id=session_id)
@@ -168,7 +204,7 @@ def route_to_room(
     else:
         request.room_id = to
     if start is not None:
-        request.start.CopyFrom(geometry.vector2_to("start", start))
+        request.start.CopyFrom(geometry.floor_to("start", start))
     return Call(_rpc.ROUTE_TO_ROOM, request, _route)
 
 
@@ -185,16 +221,16 @@ def _route(answer: scene_service_pb2.RouteToRoomResponse) -> RoomRoute:
 
 def watch_request(
     session_id: str,
-    goal: Sequence[float],
+    goal: FloorPoint,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
 ) -> service.WatchPathRequest:
     """A watch's question."""
     return service.WatchPathRequest(
         source=maps.source(session_id),
-        goal=geometry.vector2_to("goal", goal),
+        goal=geometry.floor_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=options_to(options),
+        options=options_to(options, goal=goal),
     )
 
 
@@ -210,23 +246,26 @@ def _navigation(answer: service.NavigateResponse) -> Navigation:
 
 def plan(
     session_id: str,
-    goal: Sequence[float],
-    start: Sequence[float] | None,
+    goal: FloorPoint,
+    start: FloorPoint | None,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
 ) -> Call[service.PlanPathRequest, service.PlanPathResponse, Path | NoPath]:
     request = service.PlanPathRequest(
         source=maps.source(session_id),
-        start=None if start is None else geometry.vector2_to("start", start),
-        goal=geometry.vector2_to("goal", goal),
+        start=None if start is None else geometry.floor_to("start", start),
+        goal=geometry.floor_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=options_to(options),
+        options=options_to(options, start, goal),
     )
     return Call(_rpc.PLAN_PATH, request, _outcome)
 
 
 def validate(
-    session_id: str, poses: object, params: Mapping[str, object] | None, options: PathOptions | None
+    session_id: str,
+    poses: Path | Sequence[Pose],
+    params: Mapping[str, object] | None,
+    options: PathOptions | None,
 ) -> Call[service.ValidatePathRequest, service.ValidatePathResponse, Misfit | None]:
     request = service.ValidatePathRequest(
         source=maps.source(session_id),
@@ -240,14 +279,14 @@ def validate(
 def navigate(
     session_id: str,
     frame: SensorFrame,
-    goal: Sequence[float],
+    goal: FloorPoint,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
 ) -> Call[service.NavigateRequest, service.NavigateResponse, Navigation]:
     request = service.NavigateRequest(
-        goal=geometry.vector2_to("goal", goal),
+        goal=geometry.floor_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=options_to(options),
+        options=options_to(options, goal=goal),
     )
     sensors.fill_frame(request.message, session_id, frame)
     return Call(_rpc.NAVIGATE, request, _navigation)

@@ -8,6 +8,7 @@ from .. import _rpc
 from .._arrays import Array, stamp
 from .._call import Call
 from ..errors import InvalidArgument
+from ..types._value import told
 from ..types.frames import (
     CameraFrame,
     CloudFrame,
@@ -20,6 +21,7 @@ from ..types.frames import (
     SensorFrame,
 )
 from ..types.geometry import CameraIntrinsics, Pose
+from ..types.listing import Listing
 from ..types.poses import FrameResult
 from ..types.sensors import (
     ClockOffset,
@@ -57,8 +59,9 @@ def spec_to(spec: SensorSpec) -> sensor_pb2.SensorSpec:
 def spec(message: sensor_pb2.SensorSpec) -> SensorSpec:
     """A declaration."""
     has_intrinsics = message.HasField("intrinsics")
-    return SensorSpec(
-        message.sensor_id,
+    return told(
+        SensorSpec,
+        sensor_id=message.sensor_id,
         kind=words.word(SensorKind, sensor_pb2.SensorKind, message.kind),
         t_base_sensor=geometry.pose(message.t_base_sensor),
         intrinsics=geometry.intrinsics(message.intrinsics) if has_intrinsics else None,
@@ -207,10 +210,10 @@ def declare(
 def list_sensors(
     session_id: str,
 ) -> Call[
-    sensors_service_pb2.ListSensorsRequest, sensors_service_pb2.ListSensorsResponse, list[SensorStatus]
+    sensors_service_pb2.ListSensorsRequest, sensors_service_pb2.ListSensorsResponse, Listing[SensorStatus]
 ]:
     request = sensors_service_pb2.ListSensorsRequest(session_id=session_id)
-    return Call(_rpc.LIST_SENSORS, request, lambda a: [status(s) for s in a.sensors])
+    return Call(_rpc.LIST_SENSORS, request, lambda a: Listing([status(s) for s in a.sensors]))
 
 
 def get(
@@ -233,7 +236,7 @@ def update(
     changed, paths = request.spec, request.update_mask.paths
     changed.sensor_id = sensor_id
     if t_base_sensor is not None:
-        changed.t_base_sensor.CopyFrom(geometry.pose_to(t_base_sensor))
+        changed.t_base_sensor.CopyFrom(geometry.pose_to(t_base_sensor, "t_base_sensor"))
         paths.append("t_base_sensor")
     if intrinsics is not None:
         changed.intrinsics.CopyFrom(geometry.intrinsics_to(intrinsics))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Literal, overload
 
 from .._arrays import Array
@@ -31,6 +31,7 @@ from ..types.maps import (
 )
 from .bound import SessionBound
 from .operations import Operation, started
+from .pages import Pages
 
 
 def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
@@ -88,7 +89,7 @@ class Maps(SessionBound):
         call = convert.get_cloud(self.session_id, centre, radius_m, voxel_size_m, max_points, max_error_m)
         return self._transport.chunks(call)
 
-    def loops(self, *, page_size: int = 0) -> Iterator[Loop]:
+    def loops(self, *, page_size: int = 0) -> Pages[Loop]:
         """Loops that were found, believed or not, by number; pages are asked for as they are used."""
         return self._transport.pages(convert.list_loops(self.session_id, page_size))
 

@@ -13,6 +13,7 @@ from .._rpc import A, Q
 from ..errors import DeadlineExceeded, error_of
 from ..types.operations import OperationInfo, OperationState
 from .bound import Bound
+from .pages import Pages
 from .transport import Transport
 
 T = TypeVar("T")
@@ -98,7 +99,7 @@ class Operations(Bound):
         state: OperationState | str | None = None,
         session_pattern: str = "",
         page_size: int = 0,
-    ) -> Iterator[OperationInfo]:
+    ) -> Pages[OperationInfo]:
         """Oldest first; only those in a state, or about sessions whose id fits (robot-*)."""
         return self._transport.pages(convert.list_operations(state, session_pattern, page_size))
 

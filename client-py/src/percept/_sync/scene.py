@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from .._convert import navigation
 from .._convert import scene as convert
-from ..types.geometry import OrientedBox
+from ..types.geometry import FloorPoint, OrientedBox
 from ..types.navigation import RoomRoute
 from ..types.scene import (
     Object,
@@ -20,6 +20,7 @@ from ..types.scene import (
     SceneGraph,
 )
 from .bound import SessionBound
+from .pages import Pages
 
 
 class Scene(SessionBound):
@@ -40,8 +41,8 @@ class Scene(SessionBound):
         include_gone: bool = False,
         include_set_aside: bool = False,
         page_size: int = 0,
-    ) -> Iterator[Object]:
-        """Objects by id; pages are asked for as they are used.
+    ) -> Pages[Object]:
+        """Objects by id; pages are asked for as they are used, `.all()` gives a list of all.
 
         object_class is any label, text a part of one. Those whose middle lies between low and high (3,), map
         frame, metres; those in a room; those seen in a time. With near (3,) the nearest come first, page_size
@@ -130,7 +131,7 @@ class Scene(SessionBound):
         """Calls a room by a name, which stays with it while the map grows; an empty one takes it away."""
         return self._transport.call(convert.name_room(self.session_id, room_id, name))
 
-    def route_to_room(self, room: int | str, *, start: Sequence[float] | None = None) -> RoomRoute:
+    def route_to_room(self, room: int | str, *, start: FloorPoint | None = None) -> RoomRoute:
         """The way to a room, by number or name: from door to door, and the path along the ground.
 
         start is x, y, map frame, metres; without one the way begins where the robot is.

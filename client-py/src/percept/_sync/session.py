@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
@@ -16,10 +16,12 @@ from ..types.exploration import (
     NoFlight,
 )
 from ..types.frames import SensorFrame
+from ..types.geometry import FloorPoint, Pose
 from ..types.navigation import (
     Misfit,
     Navigation,
     NoPath,
+    NoPathReason,
     Path,
     PathColouring,
     PathOptions,
@@ -28,11 +30,13 @@ from ..types.navigation import (
     ZoneMask,
 )
 from ..types.poses import FrameResult, PoseAt, PoseEstimate, Transform
+from ..types.scene import Object
 from ..types.sensors import SensorSpec
 from ..types.sessions import FleetEventKind, Keyframe, SessionInfo, SessionMode, SessionState, Trajectory
 from .bound import Bound, SessionBound
 from .layers import Space
 from .maps import Maps
+from .pages import Pages
 from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
@@ -178,42 +182,71 @@ class Session(SessionBound, FrameSender[FrameResult]):
         call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
         return self._transport.chunks(call)
 
-    def keyframes(self, *, page_size: int = 0) -> Iterator[Keyframe]:
+    def keyframes(self, *, page_size: int = 0) -> Pages[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""
         return self._transport.pages(sessions.keyframes(self.session_id, page_size))
 
     def plan(
         self,
-        goal: Sequence[float],
+        goal: FloorPoint,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Path | NoPath:
         """A path to (x, y) in metres of the map, from where the robot is or from `start`. Options say by
-        which planner, with which footprint and headings, around which zones."""
+        which planner, with which footprint and headings, around which zones. Ends may be poses: the HYBRID
+        planner keeps to their headings, unless the options name others. No path is an answer, with its
+        reason; three bare numbers are refused (WrongType), for x, y, z and x, y, yaw look alike."""
         return self._transport.call(navigation.plan(self.session_id, goal, start, params, options))
+
+    def plan_to(
+        self,
+        thing: Object | int,
+        *,
+        gap_m: float = 0.5,
+        start: FloorPoint | None = None,
+        params: Mapping[str, object] | None = None,
+        options: PathOptions | None = None,
+    ) -> Path | NoPath:
+        """A path to beside an object, or to the one of this number: base stops gap_m (metres) from its box,
+        or up to twice that where it does not fit there, and looks at it (HYBRID planner). Of the places
+        around it the first is taken that can be reached, nearest to the robot first; if none can, the answer
+        is why not the nearest. Raises NotFound if there is no such object."""
+        target = thing if isinstance(thing, Object) else self.scene.object(thing)
+        pose = self.pose() if start is None else None
+        here = start if pose is None else pose.t_map_base
+        nearest: NoPath | None = None
+        for place in navigation.places_beside(target.box, gap_m, here):
+            found = self.plan(place, start=start, params=params, options=options)
+            if isinstance(found, Path):
+                return found
+            nearest = nearest or found
+            # It is not for the goal that there is none.
+            if found.reason == NoPathReason.LOST or str(found.reason).startswith("start_"):
+                return found
+        assert nearest is not None
+        return nearest
 
     def draw_path(
         self,
-        goal: Sequence[float] | None = None,
+        goal: FloorPoint | None = None,
         *,
-        path: Path | object | None = None,
-        start: Sequence[float] | None = None,
+        path: Path | Sequence[Pose] | None = None,
+        start: FloorPoint | None = None,
         colouring: PathColouring | str = PathColouring.CLEARANCE,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> PathPicture:
         """plan() as a picture: the map with the path coloured along it, footprints, zones, legend and scale
-        bar, or with why there is none and the first cell that blocks the way. With `path` (or (N, 3) poses:
-        x m, y m, yaw rad, map frame) that is drawn as it is, with the first place of it that the robot cannot
-        drive."""
+        bar, or with why there is none and the first cell that blocks the way. With `path` (or poses of base
+        in the map) that is drawn as it is, with the first place of it that the robot cannot drive."""
         call = drawing.draw_path(self.session_id, goal, path, start, colouring, params, options)
         return self._transport.call(call)
 
     def watch_path(
         self,
-        goal: Sequence[float],
+        goal: FloorPoint,
         *,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
@@ -226,19 +259,19 @@ class Session(SessionBound, FrameSender[FrameResult]):
 
     def validate_path(
         self,
-        path: Path | object,
+        path: Path | Sequence[Pose],
         *,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Misfit | None:
-        """The first place of a path, or of (N, 3) poses (x m, y m, yaw rad), that the robot cannot drive as
-        the map is now; None if all of it can be driven."""
+        """The first place of a path, or of poses of base in the map, that the robot cannot drive as the map
+        is now; None if all of it can be driven."""
         return self._transport.call(navigation.validate(self.session_id, path, params, options))
 
     def plan_coverage(
         self,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         coverage: CoverageOptions = _COVERAGE,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
@@ -250,7 +283,7 @@ class Session(SessionBound, FrameSender[FrameResult]):
     def frontiers(
         self,
         *,
-        start: Sequence[float] | None = None,
+        start: FloorPoint | None = None,
         min_length_m: float = 0.5,
         gain: float = 0.0,
         params: Mapping[str, object] | None = None,
@@ -281,7 +314,7 @@ class Session(SessionBound, FrameSender[FrameResult]):
         self,
         frame: SensorFrame,
         *,
-        goal: Sequence[float],
+        goal: FloorPoint,
         params: Mapping[str, object] | None = None,
         options: PathOptions | None = None,
     ) -> Navigation:
@@ -323,10 +356,11 @@ class Sessions(Bound):
         labels: str = "",
         order_by: str = "",
         page_size: int = 0,
-    ) -> Iterator[SessionInfo]:
+    ) -> Pages[SessionInfo]:
         """Sessions, all or those in a state, whose ids fit a pattern (robot-*), with labels ("site=north",
         or "site" for any value; several with commas). By id, or "create_time_ns" or "last_used_ns", " desc"
-        for the last ones first. Pages are asked for as they are used. None is woken by it."""
+        for the last ones first. Pages are asked for as they are used, `.all()` gives a list of all. None is
+        woken by it."""
         return self._transport.pages(sessions.list_sessions(state, pattern, labels, order_by, page_size))
 
     def watch(

@@ -30,6 +30,7 @@ from .._parts import joined
 from .._rpc import A, Q, Rpc
 from ..errors import PerceptError, client_closed, error_of_rpc
 from . import _runtime as runtime
+from .pages import Pages
 
 T = TypeVar("T")
 
@@ -173,8 +174,11 @@ class Transport:
 
         return call.read(self._tried(False, attempt))
 
-    def pages(self, call: PagedCall[Q, A, T]) -> Iterator[T]:
+    def pages(self, call: PagedCall[Q, A, T]) -> Pages[T]:
         """The elements of all pages, asked for as they are used."""
+        return Pages(self._elements(call))
+
+    def _elements(self, call: PagedCall[Q, A, T]) -> Iterator[T]:
         request: Any = type(call.request)()
         request.CopyFrom(call.request)
 

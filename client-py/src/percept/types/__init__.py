@@ -1,5 +1,6 @@
 """Results and inputs: frozen dataclasses over numpy arrays, one file a noun."""
 
+from .cloud import PointCloud
 from .detectors import (
     ChannelOrder,
     DetectorInfo,
@@ -45,7 +46,6 @@ from .geometry import (
     DistortionModel,
     OrientedBox,
     Plane,
-    PointCloud,
     Pose,
 )
 from .images import (
@@ -76,6 +76,7 @@ from .layers import (
     Storey,
     Voxels,
 )
+from .listing import Listing
 from .maps import (
     GridGeometry,
     Loop,
@@ -306,6 +307,7 @@ __all__ = [
     "Keyframe",
     "LabelledBox",
     "LifeStep",
+    "Listing",
     "LocalFeatures",
     "Loop",
     "LoopState",

@@ -4,9 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from enum import Enum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+from ..errors import InvalidArgument
+
+V = TypeVar("V")
+
+
+def told(kind: type[V], /, **fields: object) -> V:
+    """A value as a server tells it, unchecked: a newer one may know more words, and allow more."""
+    out = object.__new__(kind)
+    for name, value in fields.items():
+        object.__setattr__(out, name, value)
+    return out
 
 
 class Name(str, Enum):
@@ -17,6 +29,15 @@ class Name(str, Enum):
 
     def __repr__(self) -> str:
         return repr(self.value)
+
+
+def one_of(field: str, word: object, names: type[Name]) -> None:
+    """Refuses what is none of the words; `unspecified` counts only where it is allowed."""
+    known = [str(name) for name in names]
+    if str(word).lower() not in known:
+        choice = ", ".join(name for name in known if name != "unspecified")
+        message = f"{field} is {str(word)!r}; choose one of {choice}"
+        raise InvalidArgument(message, reason="ENUM_UNKNOWN", field=field)
 
 
 class Value:

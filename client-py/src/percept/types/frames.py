@@ -11,7 +11,8 @@ import numpy as np
 from .._arrays import Array, checked, same_length, vector
 from ..errors import InvalidArgument
 from ._value import Value
-from .geometry import Floats, PointCloud, Pose
+from .cloud import PointCloud
+from .geometry import Floats, Pose, as_pose
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -149,6 +150,7 @@ class OdometryFrame(Value):
     covariance: Array | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "t_odom_base", as_pose("t_odom_base", self.t_odom_base))
         if self.covariance is not None:
             array = checked("covariance", self.covariance, (6, 6), np.float64)
             object.__setattr__(self, "covariance", array)

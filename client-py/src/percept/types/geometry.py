@@ -1,16 +1,19 @@
-"""Poses, boxes, clouds, cameras. Metres, radians; `t_a_b` maps coordinates in b to coordinates in a."""
+"""Poses, boxes, cameras. Metres, radians; `t_a_b` maps coordinates in b to coordinates in a."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from .._arrays import Array, checked, same_length, vector
-from ..errors import InvalidArgument
-from ._value import Name, Value
+from .._arrays import Array, checked, number, vector
+from ..errors import InvalidArgument, WrongType
+from ._show import flat, table
+from ._value import Name, Value, one_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -19,9 +22,18 @@ def _identity_rotation() -> Floats:
     return np.array([0.0, 0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Pose(Value):
-    """A rigid transform. Its name, where it is a field, says from where to where."""
+    """A rigid transform. Its name, where it is a field, says from where to where: `t_a_b` takes coordinates
+    of frame b, metres, to coordinates of frame a.
+
+        Pose.from_xy_yaw(2.0, 1.0, 0.5)                  # a robot on the floor
+        Pose.from_xyz(0.2, 0.0, 0.3, pitch_rad=0.1)      # a mount
+        Pose.from_matrix(t_map_base)                     # (4, 4)
+        Pose(translation=(0, 0, 1), rotation=(0, 0, 0, 1))
+
+    Nothing is taken by position: three bare numbers are x, y, z to one reader and x, y, yaw to the next.
+    """
 
     # A matrix beside `@` is a mistake: the product would be an array of poses.
     __array_ufunc__ = None
@@ -30,6 +42,12 @@ class Pose(Value):
     translation: Floats = field(default_factory=lambda: np.zeros(3))
     #: Unit quaternion x, y, z, w, (4,) float64.
     rotation: Floats = field(default_factory=_identity_rotation)
+
+    def __new__(cls, *bare: object, **_fields: object) -> Pose:
+        """Refuses what is given by position (WrongType, which is a TypeError)."""
+        if bare:
+            raise _no_pose("Pose", bare[0] if len(bare) == 1 else bare)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "translation", vector("translation", self.translation, 3))
@@ -49,6 +67,21 @@ class Pose(Value):
         x, y, z, w = self.rotation
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
+    @property
+    def rpy_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw about the fixed axes x, y, z, as `from_xyz` takes them; pitch within a quarter
+        turn."""
+        r = rotation_matrices(self.rotation[None])[0]
+        pitch = math.asin(max(-1.0, min(1.0, -float(r[2, 0]))))
+        return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
+
+    def _flat(self) -> dict[str, object]:
+        names = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+        return dict(zip(names, (*self.translation.tolist(), *self.rpy_rad), strict=True))
+
+    def _repr_html_(self) -> str:
+        return table([self._flat()], caption="Pose")
+
     @classmethod
     def from_matrix(cls, matrix: Array) -> Pose:
         """From a (4, 4) homogeneous matrix whose rotation is orthonormal within 1e-3."""
@@ -57,18 +90,42 @@ class Pose(Value):
         if not np.allclose(r @ r.T, np.eye(3), atol=1e-3) or np.linalg.det(r) < 0:
             message = "matrix holds no rotation: its upper left 3 x 3 is not orthonormal; normalise it"
             raise InvalidArgument(message, reason="ROTATION_INVALID", field="matrix")
-        return cls(m[:3, 3], _quaternion(r))
+        return cls(translation=m[:3, 3], rotation=_quaternion(r))
 
     @classmethod
-    def from_yaw(cls, x_m: float, y_m: float, yaw_rad: float, *, z_m: float = 0.0) -> Pose:
-        """Upright, heading yaw_rad about z."""
-        half = yaw_rad / 2
-        return cls(np.array([x_m, y_m, z_m]), np.array([0.0, 0.0, np.sin(half), np.cos(half)]))
+    def from_xy_yaw(cls, x_m: float, y_m: float, yaw_rad: float) -> Pose:
+        """Upright on the floor: at (x_m, y_m, 0), heading yaw_rad about z, from x towards y."""
+        return cls.from_xyz(x_m, y_m, 0.0, yaw_rad=yaw_rad)
+
+    @classmethod
+    def from_xyz(
+        cls,
+        x_m: float,
+        y_m: float,
+        z_m: float,
+        *,
+        roll_rad: float = 0.0,
+        pitch_rad: float = 0.0,
+        yaw_rad: float = 0.0,
+    ) -> Pose:
+        """At (x_m, y_m, z_m), turned about the fixed axes x, y, z, in this order (REP-103, URDF's rpy)."""
+        half = np.array([roll_rad, pitch_rad, yaw_rad], dtype=np.float64) / 2
+        # What is infinite becomes NaN, which whoever uses the pose refuses.
+        with np.errstate(invalid="ignore"):
+            (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
+        rotation = [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+        return cls(translation=np.array([x_m, y_m, z_m]), rotation=np.array(rotation))
 
     def inverse(self) -> Pose:
         """The way back: `t_a_b.inverse()` is `t_b_a`."""
         rotation = self.rotation * np.array([-1.0, -1.0, -1.0, 1.0])
-        return Pose(-(rotation_matrices(rotation[None])[0] @ self.translation), rotation)
+        turned = rotation_matrices(rotation[None])[0] @ self.translation
+        return Pose(translation=-turned, rotation=rotation)
 
     def __matmul__(self, other: Pose) -> Pose:
         """One after the other: `t_a_b @ t_b_c` is `t_a_c`."""
@@ -85,7 +142,7 @@ class Pose(Value):
             ]
         )
         turned = rotation_matrices(self.rotation[None])[0] @ other.translation
-        return Pose(self.translation + turned, rotation / np.linalg.norm(rotation))
+        return Pose(translation=self.translation + turned, rotation=rotation / np.linalg.norm(rotation))
 
     def apply(self, points: Array) -> Floats:
         """(N, 3) or (3,) points, metres, of frame b in frame a, where this is `t_a_b`; float64."""
@@ -95,6 +152,27 @@ class Pose(Value):
             raise InvalidArgument(message, reason="ARRAY_INVALID", field="points")
         moved: Floats = p @ rotation_matrices(self.rotation[None])[0].T + self.translation
         return moved
+
+
+#: A place on the floor, map frame: (x, y) in metres, or a pose there.
+FloorPoint: TypeAlias = Sequence[float] | Pose
+
+
+def as_pose(name: str, value: object) -> Pose:
+    """A pose, or the one of its (4, 4) matrix; anything else could be misread, and is refused."""
+    if isinstance(value, Pose):
+        return value
+    if isinstance(value, np.ndarray) and value.shape == (4, 4):
+        return Pose.from_matrix(value)
+    raise _no_pose(name, value)
+
+
+def _no_pose(name: str, value: object) -> WrongType:
+    remedy = "x, y, z and x, y, yaw look alike: give Pose.from_xyz(x, y, z), Pose.from_xy_yaw(x, y, yaw), "
+    message = (
+        f"{name} is {value!r}, which is no pose; {remedy}Pose(translation=, rotation=) or a (4, 4) array"
+    )
+    return WrongType(message, reason="POSE_INVALID", field="" if name == "Pose" else name)
 
 
 def rotation_matrices(quaternions: Floats) -> Floats:
@@ -132,12 +210,17 @@ class OrientedBox(Value):
     size_m: Floats
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "t_frame_box", as_pose("t_frame_box", self.t_frame_box))
         object.__setattr__(self, "size_m", vector("size_m", self.size_m, 3))
 
     @property
     def centre(self) -> Floats:
         """Metres, (3,)."""
         return self.t_frame_box.translation
+
+    def _flat(self) -> dict[str, object]:
+        sizes = {f"size_{axis}_m": size for axis, size in zip("xyz", self.size_m.tolist(), strict=True)}
+        return {**flat(self.t_frame_box), **sizes}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -158,79 +241,52 @@ class DistortionModel(Name):
     FISHEYE = "fisheye"
 
 
+_NUM_COEFFICIENTS = {"none": 0, "plumb_bob": 5, "rational": 8, "fisheye": 4}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CameraIntrinsics(Value):
-    """A pinhole camera; the centre of the top-left pixel is (0, 0)."""
+    """A pinhole camera; the centre of the top-left pixel is (0, 0). Checked when made, by the server's rules:
+    raises InvalidArgument, which is a ValueError, with field, value and remedy."""
 
+    #: 1 to 16384.
     width_px: int
+    #: 1 to 16384.
     height_px: int
+    #: Focal lengths, above 0.
     fx_px: float
     fy_px: float
+    #: Principal point.
     cx_px: float
     cy_px: float
     distortion_model: DistortionModel | str = DistortionModel.NONE
-    #: In the model's order: plumb_bob k1 k2 p1 p2 k3, rational k1 k2 p1 p2 k3 to k6, fisheye k1 to k4.
+    #: In the model's order: plumb_bob k1 k2 p1 p2 k3, rational k1 k2 p1 p2 k3 to k6, fisheye k1 to k4; none
+    #: without a model.
     distortion: tuple[float, ...] = ()
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PointCloud(Value):
-    """N points with optional channels, one entry a point. Non-finite points mean no return."""
-
-    #: Metres, (N, 3) float32.
-    points: Array
-    #: RGB, (N, 3) uint8.
-    colours: Array | None = field(default=None, kw_only=True)
-    #: As the sensor gives them, (N,) float32.
-    intensities: Array | None = field(default=None, kw_only=True)
-    #: Unit length, zero where undefined, (N, 3) float32.
-    normals: Array | None = field(default=None, kw_only=True)
-    #: Seconds after the message's stamp, (N,) float32.
-    time_offsets_s: Array | None = field(default=None, kw_only=True)
-
     def __post_init__(self) -> None:
-        self._check("points", ("N", 3), np.float32)
-        self._check("colours", ("N", 3), np.uint8)
-        self._check("intensities", ("N",), np.float32)
-        self._check("normals", ("N", 3), np.float32)
-        self._check("time_offsets_s", ("N",), np.float32)
-
-    def _check(self, name: str, shape: tuple[int | str, ...], dtype: npt.DTypeLike) -> None:
-        value = getattr(self, name)
-        if value is None and name != "points":
-            return
-        array = checked(name, value, shape, dtype)
-        same_length(name, array, len(self.points))
-        object.__setattr__(self, name, array)
-
-    @property
-    def num_points(self) -> int:
-        """N."""
-        return len(self.points)
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def __getitem__(self, chosen: Array | slice | Sequence[int]) -> PointCloud:
-        """Some of the points with all their channels: by a mask (N,) of bool, by indices, or by a slice."""
-        index = chosen if isinstance(chosen, slice) else np.asarray(chosen)
-        if not isinstance(index, slice) and index.shape == (0,):
-            index = index.astype(np.int64)
-        if not isinstance(index, slice):
-            is_mask = index.dtype == bool
-            if index.ndim != 1 or (is_mask and len(index) != len(self)) or index.dtype.kind not in "biu":
-                wanted = f"a mask of bool ({len(self)},), indices (M,) or a slice"
-                message = f"chosen is {index.dtype} {index.shape}; give {wanted}"
-                raise InvalidArgument(message, reason="ARRAY_INVALID", field="chosen")
-            if not is_mask and index.size and not -len(self) <= index.min() <= index.max() < len(self):
-                message = f"chosen holds {index.min()} to {index.max()}, and there are {len(self)} points"
-                raise InvalidArgument(message, reason="OUT_OF_RANGE", field="chosen")
-        channels = (self.colours, self.intensities, self.normals, self.time_offsets_s)
-        colours, intensities, normals, times = (None if c is None else c[index] for c in channels)
-        return PointCloud(
-            self.points[index],
-            colours=colours,
-            intensities=intensities,
-            normals=normals,
-            time_offsets_s=times,
-        )
+        for name in ("width_px", "height_px"):
+            value = getattr(self, name)
+            must = "a whole number of pixels from 1 to 16384"
+            number(name, value, low=0, high=16384, must=must)
+            if value != int(value):
+                raise InvalidArgument(
+                    f"{name} is {value!r}; it must be {must}", reason="OUT_OF_RANGE", field=name
+                )
+            object.__setattr__(self, name, int(value))
+        for name in ("fx_px", "fy_px"):
+            number(name, getattr(self, name), low=0, must="a number of pixels above 0")
+        for name in ("cx_px", "cy_px"):
+            number(name, getattr(self, name), must="a finite number of pixels")
+        one_of("distortion_model", self.distortion_model, DistortionModel)
+        coefficients = np.asarray(self.distortion, dtype=np.float64).ravel()
+        wanted = _NUM_COEFFICIENTS[str(self.distortion_model).lower()]
+        if len(coefficients) != wanted:
+            message = (
+                f"distortion holds {len(coefficients)} coefficients, and {self.distortion_model} has "
+                f"{wanted}; give exactly these, zeros for those that are unknown"
+            )
+            raise InvalidArgument(message, reason="SIZE_MISMATCH", field="distortion")
+        for value in coefficients:
+            number("distortion", value, must="finite")
+        object.__setattr__(self, "distortion", tuple(coefficients.tolist()))

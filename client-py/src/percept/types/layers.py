@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .._optional import needed
 from ._value import Name, Value
 from .geometry import Floats
-from .maps import MapStamp, Region
+from .maps import MapStamp, Region, cell_centres
 
 
 class MapLayer(Name):
@@ -139,6 +142,18 @@ class Heights(Value):
     origin: Floats
     stamp: MapStamp
 
+    def to_xarray(self) -> Any:  # noqa: ANN401
+        """An xarray.Dataset of all arrays over y and x, the coordinates of their cells' centres, metres, map
+        frame. ImportError without xarray."""
+        xarray = needed("xarray", "to_xarray()", "xarray")
+        coords = cell_centres(self.ground_m.shape, self.origin, self.resolution_m)
+        arrays = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        layers = {
+            name: (("y", "x"), a) for name, a in arrays.items() if isinstance(a, np.ndarray) and a.ndim == 2
+        }
+        attributes = {"frame_id": self.stamp.frame_id, "map_version": self.stamp.map_version}
+        return xarray.Dataset(layers, coords, attributes | {"resolution_m": self.resolution_m})
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Mesh(Value):
@@ -153,6 +168,18 @@ class Mesh(Value):
     #: Numbers of vertices, counter-clockwise as seen, (T, 3).
     triangles: npt.NDArray[np.uint32]
     stamp: MapStamp
+
+    def to_open3d(self) -> Any:  # noqa: ANN401
+        """An open3d.geometry.TriangleMesh with normals and colours (0 to 1). ImportError without Open3D."""
+        o3d = needed("open3d", "to_open3d()", "open3d")
+        vectors = o3d.utility.Vector3dVector
+        out = o3d.geometry.TriangleMesh(
+            vectors(self.positions.astype(np.float64)),
+            o3d.utility.Vector3iVector(self.triangles.astype(np.int32)),
+        )
+        out.vertex_normals = vectors(self.normals.astype(np.float64))
+        out.vertex_colors = vectors(self.colours / 255.0)
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .._optional import needed
+from ._show import png, to_pil
 from ._value import Name, Value
-from .geometry import Floats, PointCloud, Pose
+from .cloud import PointCloud
+from .geometry import Floats, Pose
 from .sensors import SensorKind
 
 
@@ -113,6 +117,15 @@ class GridGeometry(Value):
     height: int
 
 
+def cell_centres(shape: tuple[int, ...], origin: Floats, resolution_m: float) -> dict[str, Floats]:
+    """Coordinates of the cells of a grid along y and x, metres."""
+    (x, y), (height, width) = origin, shape
+    return {
+        "y": y + (np.arange(height) + 0.5) * resolution_m,
+        "x": x + (np.arange(width) + 0.5) * resolution_m,
+    }
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OccupancyGrid(Value):
     """Occupancy: -1 unknown, 0 to 100 percent."""
@@ -123,6 +136,29 @@ class OccupancyGrid(Value):
     #: Lower-left corner of cell (0, 0), metres, map frame, (2,).
     origin: Floats
     stamp: MapStamp
+
+    def to_xarray(self) -> Any:  # noqa: ANN401
+        """An xarray.DataArray of the cells over y and x, the coordinates of their centres, metres, map frame.
+        ImportError without xarray."""
+        xarray = needed("xarray", "to_xarray()", "xarray")
+        attributes = {
+            "frame_id": self.stamp.frame_id,
+            "map_version": self.stamp.map_version,
+            "resolution_m": self.resolution_m,
+            "values": "-1 unknown, 0 to 100 percent occupied",
+        }
+        coords = cell_centres(self.cells.shape, self.origin, self.resolution_m)
+        return xarray.DataArray(self.cells, coords, ("y", "x"), name="occupancy", attrs=attributes)
+
+    def to_pil(self) -> Any:  # noqa: ANN401
+        """A grey PIL.Image with a pixel a cell, y up: white free, black occupied, 205 unknown, as nav2's maps
+        have it. ImportError without Pillow."""
+        image = needed("PIL.Image", "to_pil()", "pillow")
+        shades = np.where(self.cells < 0, 205, 255 - np.round(self.cells * 2.55)).astype(np.uint8)
+        return image.fromarray(np.ascontiguousarray(shades[::-1]))
+
+    def _repr_png_(self) -> bytes | None:
+        return png(lambda plot: plot.occupancy(self))
 
     def cell_at(self, x_m: float, y_m: float) -> int | None:
         """Occupancy at a point of the map; None outside the grid."""
@@ -139,6 +175,9 @@ class MapCloud(Value):
     stamp: MapStamp
     #: Edge of the voxels that its points are means of, metres; None of a cloud that was downloaded.
     voxel_size_m: float | None = None
+
+    def _repr_png_(self) -> bytes | None:
+        return png(lambda plot: plot.cloud(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -253,6 +292,10 @@ class MapComparison(Value):
     cell_area_m2: float
     #: State of the newer map.
     stamp: MapStamp
+
+    def to_pil(self) -> Any:  # noqa: ANN401
+        """The picture as a PIL.Image. ImportError without Pillow."""
+        return to_pil(self.png)
 
     def _repr_png_(self) -> bytes:
         return self.png

@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .._optional import needed
+from ._show import png, to_pil
 from ._value import Name, Value
-from .geometry import Floats
+from .geometry import Floats, Pose
 from .layers import Storey
 from .maps import GridGeometry, MapStamp, OccupancyGrid
 from .poses import FrameResult, PoseEstimate
@@ -164,8 +167,10 @@ class PathOptions(Value):
 class Path(Value):
     """A path that keeps the robot clear. True where NoPath is False."""
 
-    #: From start to goal, map frame: x m, y m, yaw rad, (N, 3) float64.
+    #: Base from start to goal, map frame: x, y in metres, (N, 2) float64.
     waypoints: Floats
+    #: Heading at each, radians from the map's x axis towards y, (N,).
+    yaws_rad: Floats
     length_m: float
     #: What the search kept small, metres: length, and more near obstacles, in speed zones, for turning.
     cost: float
@@ -191,6 +196,30 @@ class Path(Value):
     #: State of the map that was searched; None of a map that came with the question.
     stamp: MapStamp | None
 
+    @property
+    def poses(self) -> list[Pose]:
+        """t_map_base at each waypoint."""
+        rows = np.column_stack([self.waypoints, self.yaws_rad]).tolist()
+        return [Pose.from_xy_yaw(x, y, yaw) for x, y, yaw in rows]
+
+    def to_pandas(self) -> Any:  # noqa: ANN401
+        """A pandas.DataFrame with a row a waypoint: x_m, y_m, yaw_rad, clearance_m, time_s, is_reverse.
+        ImportError without pandas."""
+        pandas = needed("pandas", "to_pandas()", "pandas")
+        return pandas.DataFrame(
+            {
+                "x_m": self.waypoints[:, 0],
+                "y_m": self.waypoints[:, 1],
+                "yaw_rad": self.yaws_rad,
+                "clearance_m": self.clearances_m,
+                "time_s": self.times_s,
+                "is_reverse": self.is_reverse,
+            }
+        )
+
+    def _repr_png_(self) -> bytes | None:
+        return png(lambda plot: plot.path(self))
+
     def __bool__(self) -> bool:
         return True
 
@@ -207,6 +236,9 @@ class NoPathReason(Name):
     GOAL_UNKNOWN = "goal_unknown"
     UNREACHABLE = "unreachable"
     SEARCH_LIMIT = "search_limit"
+    #: No start was given, and the robot's place is not known: it is lost (`session.pose()` says why), no
+    #: frame has come yet, or a camera alone moves it, whose poses are not in metres (`scale` of the pose is
+    #: unknown, `scale_message` says what would tell it; no map is built until then).
     LOST = "lost"
     #: The start is free, and the robot does not fit there.
     START_DOES_NOT_FIT = "start_does_not_fit"
@@ -278,8 +310,8 @@ class Misfit(Value):
 
     #: Number of the pose that does not fit, or of the one before the motion that does not.
     pose_index: int
-    #: Where the robot is then: x m, y m, yaw rad, (3,).
-    pose: Floats
+    #: t_map_base of the robot there.
+    pose: Pose
     reason: MisfitReason
     #: Of "blocked".
     blocking: Blocking | None
@@ -310,6 +342,10 @@ class PathPicture(Value):
     misfit: Misfit | None
     #: State of the map that is drawn; None: a map that came with the question.
     stamp: MapStamp | None
+
+    def to_pil(self) -> Any:  # noqa: ANN401
+        """The picture as a PIL.Image. ImportError without Pillow."""
+        return to_pil(self.png)
 
     def _repr_png_(self) -> bytes:
         return self.png

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from ._show import flat, table
 from ._value import Name, Value
 from .geometry import Floats, Pose
 
@@ -102,9 +105,23 @@ class PoseEstimate(Value):
     #: None if that one did.
     led_by: str | None
 
+    def _repr_html_(self) -> str:
+        sigmas = np.sqrt(np.abs(np.diag(self.covariance)))
+        row = {
+            "state": self.state,
+            **flat(self.t_map_base),
+            "sigma_xy_m": float(np.hypot(*sigmas[:2])),
+            "sigma_yaw_rad": float(sigmas[5]),
+            "scale": self.scale,
+            "stamp_ns": self.stamp_ns,
+        }
+        words = self.lost_message or self.waiting_message
+        return table([row], caption="t_map_base" + (f": {words}" if words else ""))
+
     @property
     def lost(self) -> bool:
-        """Whether the pose is a mere prediction."""
+        """Whether the pose is a mere prediction. A camera alone whose scale is unknown is not lost: see
+        `scale`."""
         return self.state == TrackingState.LOST
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ._show import image, png, table
 from ._value import Name, Value
 from .geometry import Floats, OrientedBox, Pose
 
@@ -65,6 +66,15 @@ class PastObjectState(Value):
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Object(Value):
     """A tracked thing."""
+
+    _columns = (
+        "object_id",
+        "label",
+        "confidence",
+        "state",
+        *(f"box_{name}" for name in ("x_m", "y_m", "z_m", "yaw_rad", "size_x_m", "size_y_m", "size_z_m")),
+        "num_observations",
+    )
 
     #: Stable through the session.
     object_id: int
@@ -350,6 +360,22 @@ class SceneGraph(Value):
     frame_id: str
     nodes: tuple[SceneNode, ...]
     relations: tuple[Relation, ...]
+
+    def _repr_html_(self) -> str:
+        labels = {node.node_id: f"{node.label} ({node.node_id})" for node in self.nodes}
+        rows = [
+            {
+                "subject": labels.get(r.subject_id, r.subject_id),
+                "relation": r.kind,
+                "object": labels.get(r.object_id, r.object_id),
+                "strength": r.strength,
+                "distance_m": r.distance_m,
+                "frame": r.frame,
+            }
+            for r in self.relations
+        ]
+        picture = image(png(lambda plot: plot.scene(self)))
+        return picture + table(rows, caption=f"{len(self.nodes)} nodes, {len(rows)} relations")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

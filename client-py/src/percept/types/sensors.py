@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
-from ._value import Name, Value
-from .geometry import CameraIntrinsics, Pose
+import numpy as np
+
+from .._arrays import number
+from ..errors import InvalidArgument, WrongType
+from ._value import Name, Value, one_of
+from .geometry import CameraIntrinsics, Pose, as_pose
 from .poses import FrameResult
 
 
@@ -32,21 +37,60 @@ class OverloadPolicy(Name):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorSpec(Value):
-    """A sensor of a session."""
+    """A sensor of a session. Checked when made, by the server's rules: raises InvalidArgument, which is a
+    ValueError, with field, value and remedy."""
 
     #: Unique in its session: 1 to 64 characters of a-z A-Z 0-9 _ -.
     sensor_id: str
     kind: SensorKind | str = field(kw_only=True)
-    #: Sensor (optical frame for cameras) to base.
+    #: Sensor (optical frame for cameras: z forward, x right) to base, at most 10 km away; a pose or its
+    #: (4, 4) matrix.
     t_base_sensor: Pose = field(default_factory=Pose, kw_only=True)
     #: Required for depth, rgbd and camera.
     intrinsics: CameraIntrinsics | None = field(default=None, kw_only=True)
-    #: Seconds to add to this sensor's stamps to get the session's clock.
+    #: Finite, seconds to add to this sensor's stamps to get the session's clock.
     time_offset_s: float = field(default=0.0, kw_only=True)
-    #: How far it sees, metres; the preset "auto" of a session that is created with it goes by that.
+    #: How far it sees, metres, above 0 and at most 10000; the preset "auto" of a session that is created
+    #: with it goes by that.
     range_max_m: float | None = field(default=None, kw_only=True)
     #: Left unspecified, zenoh drops the oldest.
     overload_policy: OverloadPolicy | str = field(default=OverloadPolicy.UNSPECIFIED, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", str(self.sensor_id)):
+            shown = str(self.sensor_id)[:80]
+            message = f"sensor_id is {shown!r}; use 1 to 64 characters of a-z A-Z 0-9 _ -"
+            raise InvalidArgument(message, reason="ID_INVALID", field="sensor_id")
+        one_of("kind", "" if self.kind == "unspecified" else self.kind, SensorKind)
+        one_of("overload_policy", self.overload_policy, OverloadPolicy)
+        self._check_mount()
+        self._check_intrinsics()
+        number("time_offset_s", self.time_offset_s, must="finite")
+        if self.range_max_m is not None:
+            must = "above 0 and at most 10000 m; send metres, or leave it out"
+            number("range_max_m", self.range_max_m, low=0, high=1e4, must=must)
+
+    def _check_mount(self) -> None:
+        mount = as_pose("t_base_sensor", self.t_base_sensor)
+        object.__setattr__(self, "t_base_sensor", mount)
+        for value in (*mount.translation.tolist(), *mount.rotation.tolist()):
+            number("t_base_sensor", value, must="finite")
+        norm = float(np.linalg.norm(mount.rotation))
+        if abs(norm - 1) > 1e-3:
+            message = f"t_base_sensor has a quaternion of norm {norm:.6g}; normalise it (order x, y, z, w)"
+            raise InvalidArgument(message, reason="QUATERNION_NOT_UNIT", field="t_base_sensor")
+        for value in np.abs(mount.translation).tolist():
+            must = "at most 10 km from base; send metres"
+            number("t_base_sensor.translation", value, high=1e4, must=must)
+
+    def _check_intrinsics(self) -> None:
+        lens = self.intrinsics
+        if lens is None and str(self.kind).lower() in ("depth", "rgbd", "camera"):
+            message = f"intrinsics is missing; a sensor of kind {self.kind} needs CameraIntrinsics"
+            raise InvalidArgument(message, reason="FIELD_MISSING", field="intrinsics")
+        if not (lens is None or isinstance(lens, CameraIntrinsics)):
+            message = f"intrinsics is {lens!r}; give CameraIntrinsics(width_px=, height_px=, fx_px=, ...)"
+            raise WrongType(message, reason="ARGUMENT_INVALID", field="intrinsics")
 
 
 class StreamVerdict(Name):
@@ -153,6 +197,18 @@ class StreamNote(Value):
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SensorStatus(Value):
     """What the server sees of a sensor's stream."""
+
+    _columns = (
+        "spec_sensor_id",
+        "spec_kind",
+        "accepted",
+        "rejected",
+        "dropped",
+        "gaps",
+        "rate_hz",
+        "verdict",
+        "verdict_message",
+    )
 
     spec: SensorSpec
     accepted: int

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from .._optional import needed
+from ._show import png
 from ._value import Name, Value
 from .geometry import Floats, Pose, rotation_matrices
 from .maps import Loop
@@ -52,6 +54,17 @@ class SessionFault(Value):
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SessionInfo(Value):
     """A session as it was when asked. One that sleeps has the numbers with which it fell asleep."""
+
+    _columns = (
+        "session_id",
+        "display_name",
+        "state",
+        "mode",
+        "num_keyframes",
+        "num_objects",
+        "map_version",
+        "last_stamp_ns",
+    )
 
     session_id: str
     display_name: str
@@ -119,6 +132,25 @@ class Trajectory(Value):
     def length_m(self) -> float:
         """Length of the path."""
         return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    def to_pandas(self) -> Any:  # noqa: ANN401
+        """A pandas.DataFrame with a row a frame: stamp_ns, x_m, y_m, z_m, qx, qy, qz, qw (base in map),
+        state, keyframe_id (missing where it became none), scale. ImportError without pandas."""
+        pandas = needed("pandas", "to_pandas()", "pandas")
+        numbers = np.hstack([self.positions, self.rotations])
+        names = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+        return pandas.DataFrame(
+            {
+                "stamp_ns": self.stamps_ns,
+                **dict(zip(names, numbers.T, strict=True)),
+                "state": [str(state) for state in self.states],
+                "keyframe_id": pandas.array(self.keyframe_ids, dtype="Int64"),
+                "scale": [str(scale) for scale in self.scales],
+            }
+        )
+
+    def _repr_png_(self) -> bytes | None:
+        return png(lambda plot: plot.trajectory(self))
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ._value import Name, Value
-from .geometry import Floats, OrientedBox, Plane, PointCloud, Pose
+from .cloud import PointCloud
+from .geometry import Floats, OrientedBox, Plane, Pose
 from .scene import Detection, ShapeFeatures
 
 

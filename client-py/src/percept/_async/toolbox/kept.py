@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ..._convert.toolbox import kept as convert
 from ..._convert.toolbox.request import Cloud
-from ...types.geometry import PointCloud
+from ...types.cloud import PointCloud
 from ...types.toolbox import CloudFormat, CloudHandle, DecodedCloud, KeptClouds, PipelineResult, Step
 from ..bound import AsyncBound
 from ..operations import AsyncOperation, started

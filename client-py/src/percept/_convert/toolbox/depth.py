@@ -9,7 +9,8 @@ from ..._arrays import Array
 from ..._call import Call
 from ...errors import InvalidArgument
 from ...types import frames
-from ...types.geometry import CameraIntrinsics, PointCloud
+from ...types.cloud import PointCloud
+from ...types.geometry import CameraIntrinsics
 from ...v1 import sensor_pb2
 from ...v1 import toolbox_depth_service_pb2 as depth_pb
 from .. import geometry, sensors

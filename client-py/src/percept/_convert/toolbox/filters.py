@@ -10,7 +10,8 @@ from ... import _rpc
 from ..._arrays import Array, checked
 from ..._call import Call
 from ...errors import InvalidArgument
-from ...types.geometry import OrientedBox, PointCloud, Pose
+from ...types.cloud import PointCloud
+from ...types.geometry import OrientedBox, Pose
 from ...types.toolbox import FilteredCloud
 from ...v1 import toolbox_clouds_service_pb2 as clouds_pb
 from .. import geometry

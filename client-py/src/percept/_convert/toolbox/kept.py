@@ -15,7 +15,7 @@ from ..._arrays import Array
 from ..._call import Call, ChunkedCall, StreamedCall
 from ..._parts import joined
 from ...errors import Internal, InvalidArgument
-from ...types.geometry import PointCloud
+from ...types.cloud import PointCloud
 from ...types.toolbox import (
     CloudFile,
     CloudFormat,

@@ -11,6 +11,7 @@ import numpy as np
 from ... import _rpc
 from ..._call import Call
 from ...errors import InvalidArgument
+from ...types.geometry import FloorPoint, Pose
 from ...types.maps import OccupancyGrid
 from ...types.navigation import GridMap, Misfit, NoPath, Path, PathOptions
 from ...v1 import map_pb2, params_pb2
@@ -54,17 +55,17 @@ def map_to(given: Map) -> service.GivenMap:
 
 def plan_on_map(
     given: Map,
-    start: Sequence[float],
-    goal: Sequence[float],
+    start: FloorPoint,
+    goal: FloorPoint,
     params: Mapping[str, object] | None,
     options: PathOptions | None,
 ) -> Call[service.PlanOnMapRequest, service.PlanOnMapResponse, Path | NoPath]:
     request = service.PlanOnMapRequest(
         map=map_to(given),
-        start=geometry.vector2_to("start", start),
-        goal=geometry.vector2_to("goal", goal),
+        start=geometry.floor_to("start", start),
+        goal=geometry.floor_to("goal", goal),
         params=words.message_of("params", params_pb2.PlanningParams, params),
-        options=navigation.options_to(options),
+        options=navigation.options_to(options, start, goal),
     )
 
     def read(answer: service.PlanOnMapResponse) -> Path | NoPath:
@@ -76,7 +77,7 @@ def plan_on_map(
 
 
 def validate_on_map(
-    given: Map, poses: object, params: Mapping[str, object] | None, options: PathOptions | None
+    given: Map, poses: Path | Sequence[Pose], params: Mapping[str, object] | None, options: PathOptions | None
 ) -> Call[service.ValidateOnMapRequest, service.ValidateOnMapResponse, Misfit | None]:
     request = service.ValidateOnMapRequest(
         map=map_to(given),

@@ -8,6 +8,7 @@ from ... import _rpc
 from ..._arrays import Array, checked
 from ..._call import Call
 from ...types import frames
+from ...types.cloud import Labels, labels_of
 from ...types.toolbox import Clusters, Ground, GroundPatch, Supervoxels, SupportedObjects
 from ...v1 import toolbox_pictures_service_pb2 as pictures_pb
 from ...v1 import toolbox_segmentation_service_pb2 as segmentation_pb
@@ -90,9 +91,9 @@ def objects(answer: segmentation_pb.SegmentObjectsResponse) -> SupportedObjects:
 
 
 def render_cloud(
-    cloud: Cloud, labels: Array | None, colouring: str | None, **fields: object
+    cloud: Cloud, labels: Labels | None, colouring: str | None, **fields: object
 ) -> Call[pictures_pb.RenderCloudRequest, pictures_pb.RenderCloudResponse, bytes]:
-    packed = None if labels is None else checked("labels", labels, ("N",), np.int32).astype("<i4").tobytes()
+    packed = None if labels is None else labels_of(labels).astype("<i4").tobytes()
     request = with_cloud(pictures_pb.RenderCloudRequest, cloud, labels=packed, colouring=colouring, **fields)
     return Call(_rpc.RENDER_CLOUD, request, lambda a: a.png)
 

@@ -12,7 +12,7 @@ from google.protobuf.message import Message
 
 from ..._arrays import Array
 from ...errors import InvalidArgument
-from ...types.geometry import PointCloud, Pose
+from ...types.cloud import PointCloud
 from ...types.toolbox import CloudFile, CloudHandle, SessionCloud
 from ...v1 import toolbox_pb2 as shared
 from .. import geometry, words
@@ -93,8 +93,8 @@ def _message(name: str, kind: str, value: Any) -> Message:  # noqa: ANN401
         return geometry.vector3_to(name, value)
     if kind == "Vector2":
         return geometry.vector2_to(name, value)
-    if kind == "Pose" and isinstance(value, (Pose, np.ndarray)):
-        return geometry.pose_to(value)
+    if kind == "Pose" and not isinstance(value, Message):
+        return geometry.pose_to(value, name)
     if kind == "OrientedBox":
         return geometry.box_to(value)
     if kind == "CameraIntrinsics":

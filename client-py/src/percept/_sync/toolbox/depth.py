@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from ..._arrays import Array
 from ..._convert.toolbox import depth as convert
+from ...types.cloud import PointCloud
 from ...types.frames import EncodedImage
-from ...types.geometry import CameraIntrinsics, PointCloud
+from ...types.geometry import CameraIntrinsics
 from ..bound import Bound
 
 

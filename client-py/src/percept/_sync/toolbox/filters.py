@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from ..._arrays import Array
 from ..._convert.toolbox import filters as convert
 from ..._convert.toolbox.request import Cloud
-from ...types.geometry import OrientedBox, PointCloud, Pose
+from ...types.cloud import PointCloud
+from ...types.geometry import OrientedBox, Pose
 from ...types.toolbox import FilteredCloud, NormalOrientation
 from ..bound import Bound
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from ..._arrays import Array
 from ..._convert.toolbox import regions as convert
 from ..._convert.toolbox.request import Cloud
+from ...types.cloud import Labels
 from ...types.frames import EncodedImage
 from ...types.toolbox import CloudColouring, CloudView, Clusters, Ground, Supervoxels, SupportedObjects
 from ..bound import Bound
@@ -136,13 +137,14 @@ class Regions(Bound):
         *,
         view: CloudView | str = CloudView.TOP,
         colouring: CloudColouring | str | None = None,
-        labels: Array | None = None,
+        labels: Labels | None = None,
         width_px: int | None = None,
         height_px: int | None = None,
         point_size_px: int | None = None,
     ) -> bytes:
-        """A PNG of 1024 x 768 pixels: the cloud in its own colours, else by labels (N,) int32, else by
-        intensity, else by height."""
+        """A PNG of 1024 x 768 pixels: the cloud in its own colours, else by labels, else by intensity, else
+        by height. labels: Clusters, Supervoxels or SupportedObjects of this cloud, or whole numbers (N,), -1
+        for none."""
         call = convert.render_cloud(
             cloud,
             labels,
