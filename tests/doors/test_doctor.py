@@ -179,7 +179,8 @@ def test_topics_of_ros_that_are_not_used_are_told_with_the_reason(tmp_path):
 
                 def told():
                     scan = world.scan(world.drive(1)[0])
-                    robot.publish("/scan", ros2.scan(world.stamp(next(stamps)), "laser_link", scan))
+                    message = ros2.scan(world.stamp(next(stamps)), "laser_link", scan)
+                    robot.publish("/scan", message)
                     time.sleep(0.2)
                     with contextlib.suppress(NotFound):
                         notes = client.session("robot").info().stream_notes
@@ -211,5 +212,3 @@ def test_without_a_session_all_that_are_awake_are_looked_at(server, client):
     unknown = doctor(server, "no-such-session")
     assert unknown.returncode == 1
     assert "no-such-session" in unknown.stderr
-
-

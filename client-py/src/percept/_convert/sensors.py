@@ -97,9 +97,18 @@ def note(message: session_pb2.StreamNote) -> StreamNote:
 
 
 def _figures(message: sensor_pb2.StreamFigures) -> StreamFigures:
-    names = [field.name for field in sensor_pb2.StreamFigures.DESCRIPTOR.fields]
-    known = {name for name in StreamFigures.__dataclass_fields__ if name in names}
-    return StreamFigures(**{name: getattr(message, name) if message.HasField(name) else None for name in known})
+    return StreamFigures(
+        arrival_rate_hz=message.arrival_rate_hz if message.HasField("arrival_rate_hz") else None,
+        jitter_s=message.jitter_s if message.HasField("jitter_s") else None,
+        longest_interval_s=message.longest_interval_s if message.HasField("longest_interval_s") else None,
+        delay_s=message.delay_s if message.HasField("delay_s") else None,
+        quiet_s=message.quiet_s if message.HasField("quiet_s") else None,
+        frame_bytes=message.frame_bytes if message.HasField("frame_bytes") else None,
+        latency_p50_s=message.latency_p50_s if message.HasField("latency_p50_s") else None,
+        latency_p95_s=message.latency_p95_s if message.HasField("latency_p95_s") else None,
+        measured_ratio=message.measured_ratio if message.HasField("measured_ratio") else None,
+        median_range_m=message.median_range_m if message.HasField("median_range_m") else None,
+    )
 
 
 def _trouble(message: sensor_pb2.StreamTrouble) -> StreamTrouble:

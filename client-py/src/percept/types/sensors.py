@@ -160,7 +160,7 @@ class Refusal(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StreamFigures(Value):
-    """How a stream has come in of late: its newest 50 accepted frames. None where too few came, or for what has none."""
+    """How a stream has come in of late: its newest 50 frames. None where too few came, or there is none."""
 
     #: Mean rate of arrival by the server's clock, hertz.
     arrival_rate_hz: float | None
@@ -185,7 +185,7 @@ class StreamFigures(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StreamNote(Value):
-    """What is to be said of a stream that is no sensor, or not as it came: a topic of ROS 2 that was left, and why."""
+    """What is to be said of a stream that is no sensor, or not as it came: a topic that is not used."""
 
     stream: str
     #: In words, for an operator.
