@@ -65,6 +65,14 @@ def test_a_camera_alone_waits_for_parallax_then_tracks_and_says_that_scale_is_un
     assert session.pose() == poses[-1]
 
 
+def test_planning_from_where_a_camera_alone_is_says_that_its_scale_is_unknown(alone):
+    session, _ = alone
+    none = session.plan((1.0, 0.0))
+    assert not none
+    assert none.reason == "scale_unknown"
+    assert "wheel odometry" in none.detail
+
+
 def test_the_trajectory_of_a_camera_alone_is_right_but_for_its_scale(alone):
     session, _ = alone
     trajectory = session.trajectory()

@@ -219,3 +219,14 @@ def test_frontiers_of_a_map_file_and_of_a_session_are_listed_and_written(server,
 def test_questions_about_ground_that_are_none_are_usage_errors(hall, arguments, words):
     failed = percept(*(hall if a == "MAP" else a for a in arguments), code=2)
     assert words in failed.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_completes_commands(shell):
+    script = percept("completions", shell).stdout
+    assert all(command in script for command in ("replay", "doctor", "import-map"))
+    if shell == "bash":
+        # The script itself, in the shell itself: what follows `percept doc`.
+        ask = "COMP_WORDS=(percept doc); COMP_CWORD=1; _percept percept doc percept; echo ${COMPREPLY[@]}"
+        done = subprocess.run(["bash", "-c", f"{script}\n{ask}"], capture_output=True, text=True, timeout=60)
+        assert done.stdout.split() == ["doctor"], done.stderr

@@ -240,6 +240,8 @@ class NoPathReason(Name):
     #: frame has come yet, or a camera alone moves it, whose poses are not in metres (`scale` of the pose is
     #: unknown, `scale_message` says what would tell it; no map is built until then).
     LOST = "lost"
+    #: No start was given, and one camera alone does not tell lengths.
+    SCALE_UNKNOWN = "scale_unknown"
     #: The start is free, and the robot does not fit there.
     START_DOES_NOT_FIT = "start_does_not_fit"
     START_IN_KEEP_OUT = "start_in_keep_out"

@@ -50,6 +50,8 @@ class _NoPathReasonEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_NoPathRe
     """A way is wide enough, but not for this footprint and turning radius."""
     NO_PATH_REASON_DEADLINE: _NoPathReason.ValueType  # 15
     """deadline_ms was over before there was a path."""
+    NO_PATH_REASON_SCALE_UNKNOWN: _NoPathReason.ValueType  # 16
+    """No start was given, and the robot's place is in a unit of its own: one camera alone does not tell lengths."""
 
 class NoPathReason(_NoPathReason, metaclass=_NoPathReasonEnumTypeWrapper):
     """Why there is no path."""
@@ -77,6 +79,8 @@ NO_PATH_REASON_NOT_STEERABLE: NoPathReason.ValueType  # 14
 """A way is wide enough, but not for this footprint and turning radius."""
 NO_PATH_REASON_DEADLINE: NoPathReason.ValueType  # 15
 """deadline_ms was over before there was a path."""
+NO_PATH_REASON_SCALE_UNKNOWN: NoPathReason.ValueType  # 16
+"""No start was given, and the robot's place is in a unit of its own: one camera alone does not tell lengths."""
 Global___NoPathReason: _TypeAlias = NoPathReason  # noqa: Y015
 
 class _Planner:

@@ -36,6 +36,7 @@ mod streams;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use std::collections::BTreeSet;
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -90,6 +91,11 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// Ask a running server whether it serves; the exit code says so.
     Health(health::HealthArgs),
+    /// Print the script that completes commands and options in a shell: `source <(percept completions bash)`.
+    Completions {
+        /// Which shell.
+        shell: clap_complete::Shell,
+    },
 }
 
 #[derive(Debug, clap::Args)]
@@ -121,6 +127,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Config(args) => config(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Health(args) => health::run(&args),
+        Command::Completions { shell } => completions(shell),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -129,6 +136,12 @@ pub(crate) fn run() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn completions(shell: clap_complete::Shell) -> Result<(), Failure> {
+    let mut script = vec![];
+    clap_complete::generate(shell, &mut Cli::command(), "percept", &mut script);
+    Ok(std::io::stdout().write_all(&script)?)
 }
 
 /// Variables of the environment that options of any command read, whichever runs.

@@ -114,11 +114,23 @@ impl PathOptions {
     }
 }
 
+/// Why a robot's own place is no start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum NoStart {
+    /// It does not know where it is.
+    #[default]
+    Lost,
+    /// It knows, but in a unit of its own: one camera alone does not tell lengths.
+    ScaleUnknown,
+}
+
 /// A path, or why there is none.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The planner's answer; none if no start was given and the robot does not know where it is.
+    /// The planner's answer; none if no start was given and the robot does not know where it is, which `no_start` explains.
     pub outcome: Option<PlanOutcome>,
+    /// Why the robot's own place is no start.
+    pub no_start: NoStart,
     /// The object that stands in the way, if there is no path and one is known.
     pub object: Option<ObjectId>,
     /// Version of the map that was searched.
@@ -212,6 +224,16 @@ pub(super) fn known_pose(snapshot: &Snapshot) -> Option<(Point2<f64>, f64)> {
     Some((pose.t_map_base.translation.vector.xy().into(), se3::yaw(&pose.t_map_base)))
 }
 
+/// Why [`known_pose`] knows none.
+pub(super) fn no_start(snapshot: &Snapshot) -> NoStart {
+    let is_tracked = |p: &PoseEstimate| p.state.is_tracking();
+    let is_measured = |p: &PoseEstimate| p.scale.is_metric();
+    match &snapshot.pose {
+        Some(pose) if is_tracked(pose) && !is_measured(pose) => NoStart::ScaleUnknown,
+        _ => NoStart::Lost,
+    }
+}
+
 /// Plans on a snapshot.
 ///
 /// # Errors
@@ -219,7 +241,8 @@ pub(super) fn known_pose(snapshot: &Snapshot) -> Option<(Point2<f64>, f64)> {
 pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Result<Plan> {
     let (stamp, map_version) = (stamp_of(snapshot), snapshot.map_version);
     let Some(start) = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot)) else {
-        return Ok(Plan { outcome: None, object: None, map_version, stamp });
+        let no_start = no_start(snapshot);
+        return Ok(Plan { outcome: None, no_start, object: None, map_version, stamp });
     };
     let mut params = request.params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
@@ -229,7 +252,7 @@ pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Res
         PlanOutcome::NoPath { blocking: Some(blocking), .. } => object_at(snapshot, blocking),
         _ => None,
     };
-    Ok(Plan { outcome: Some(outcome), object, map_version, stamp })
+    Ok(Plan { outcome: Some(outcome), no_start: NoStart::default(), object, map_version, stamp })
 }
 
 /// The first place of a path that does not fit on a snapshot.
@@ -319,6 +342,17 @@ pub(super) fn object_at(snapshot: &Snapshot, blocking: &Blocking) -> Option<Obje
     let volume = |o: &&Object| o.bbox.volume();
     let found = snapshot.objects.iter().filter(holds);
     found.min_by(|a, b| volume(a).total_cmp(&volume(b))).map(|o| o.id)
+}
+
+/// Why the robot's own place is no start, in words with a remedy.
+pub fn words_of_no_start(why: NoStart) -> &'static str {
+    match why {
+        NoStart::Lost => words_of(None),
+        NoStart::ScaleUnknown => {
+            "no start was given, and the robot's place is in a unit of its own, since one camera alone does not tell lengths; \
+             send wheel odometry, depth images or a second camera's images along"
+        }
+    }
 }
 
 /// Why there is no path, in words; none: no start was given and the robot does not know where it is.

@@ -2,7 +2,7 @@
 
 use super::layers::at_most;
 use super::maps::stamp_of;
-use super::navigation::{MAX_POSES, ground, known_pose, misfit, on_grid, plan_error, words_of};
+use super::navigation::{MAX_POSES, NoStart, ground, known_pose, misfit, no_start, on_grid, plan_error, words_of};
 use super::pictures;
 use crate::{PathOptions, Plan, PlanRequest, Result, Service};
 use nalgebra::Point2;
@@ -87,7 +87,9 @@ fn on_snapshot(snapshot: &Snapshot, drawing: &Drawing, max_cells: usize, title: 
         DrawnPath::Planned(request) => {
             let start = request.start.map(|start| (start, None));
             let start = start.or(known_pose(snapshot).map(|(p, yaw)| (p, Some(yaw))));
-            planned(&grid, start, request.goal, &params, &request.options, drawing.quantity, title)?
+            let mut picture = planned(&grid, start, request.goal, &params, &request.options, drawing.quantity, title)?;
+            picture.plan.no_start = no_start(snapshot);
+            picture
         }
     };
     if let Some(PlanOutcome::NoPath { blocking: Some(blocking), .. }) = &picture.plan.outcome {
@@ -170,7 +172,13 @@ fn finished(
 ) -> Result<PathPicture> {
     let grid = known_part(grid, picture);
     let png = pictures::png(percept_pictures::path_picture(&*grid, picture, title))?;
-    let plan = Plan { outcome, object: None, map_version: 0, stamp: percept_geometry::Timestamp::default() };
+    let plan = Plan {
+        outcome,
+        no_start: NoStart::default(),
+        object: None,
+        map_version: 0,
+        stamp: percept_geometry::Timestamp::default(),
+    };
     Ok(PathPicture { png, plan, misfit })
 }
 

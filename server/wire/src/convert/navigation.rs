@@ -264,7 +264,14 @@ pub(super) fn outcome_to(outcome: &PlanOutcome, object: Option<ObjectId>) -> std
 pub fn planned_to(plan: &Plan) -> std::result::Result<v1::Path, v1::NoPath> {
     match &plan.outcome {
         Some(outcome) => outcome_to(outcome, plan.object),
-        None => Err(no_path_to(None, None)),
+        None => {
+            let reason = match plan.no_start {
+                ops::NoStart::Lost => v1::NoPathReason::Lost,
+                ops::NoStart::ScaleUnknown => v1::NoPathReason::ScaleUnknown,
+            };
+            let detail = ops::words_of_no_start(plan.no_start).to_owned();
+            Err(v1::NoPath { reason: reason.into(), detail, blocking: None })
+        }
     }
 }
 
