@@ -11,6 +11,7 @@ Without matplotlib they raise ImportError.
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterable
 from typing import Any
@@ -37,9 +38,16 @@ MAX_POINTS = 200_000
 
 
 def _figure(**size: Any) -> Any:  # noqa: ANN401
-    # Not pyplot: no window, no global state.
     module = needed("matplotlib.figure", "percept.plot", "percept[plot]")
-    return module.Figure(layout="compressed", **size)
+
+    # Not pyplot: no window, no global state. So it has to show itself in a notebook.
+    class Figure(module.Figure):  # type: ignore[misc, name-defined]
+        def _repr_png_(self) -> bytes:
+            out = io.BytesIO()
+            self.savefig(out, format="png", dpi=90)
+            return out.getvalue()
+
+    return Figure(layout="compressed", **size)
 
 
 def _axes(axes: Any, across: str = "xy", title: str = "") -> Any:  # noqa: ANN401
