@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ._arrays import Array
 from ._optional import needed
 from .errors import WrongType
 from .types.cloud import Labels, PointCloud, labels_of
@@ -146,17 +147,18 @@ def path(found: Path | CoveragePath | FlightPath | NoPath, *, axes: Any = None) 
 
 
 def cloud(
-    points: PointCloud | MapCloud,
+    points: PointCloud | MapCloud | Array,
     *,
     labels: Labels | None = None,
     across: str = "xy",
     axes: Any = None,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
-    """A cloud seen along the axis that `across` leaves out (xy: from above), coloured by labels (those of
-    clusters, say; none in grey), else in its own colours, else by that axis. Points that are not finite are
-    left out, and of more than 200000 as many are drawn."""
+    """A cloud, or its points (N, 3) float32, seen along the axis that `across` leaves out (xy: from above),
+    coloured by labels (those of clusters, say; none in grey), else in its own colours, else by that axis.
+    Points that are not finite are left out, and of more than 200000 as many are drawn."""
     if isinstance(points, MapCloud):
         points = points.cloud
+    points = points if isinstance(points, PointCloud) else PointCloud(points)
     if len(across) != 2 or not set(across) < set("xyz") or across[0] == across[1]:
         raise WrongType(f"across is {across!r}; give two of x, y, z", reason="AXES_INVALID", field="across")
     numbers = None if labels is None else labels_of(labels, len(points))
