@@ -136,6 +136,7 @@ def in_metres(axes):
 
 
 def test_what_is_drawn_over_a_map_keeps_its_metres():
+    pytest.importorskip("matplotlib")
     axes = percept.plot.occupancy(GRID)
     assert in_metres(axes) == {"free", "occupied", "unknown"}
     assert axes.images[0].get_extent() == [1.0, 2.5, -2.0, -1.0]
@@ -153,6 +154,7 @@ def test_what_is_drawn_over_a_map_keeps_its_metres():
 
 
 def test_a_cloud_is_drawn_by_labels_from_the_side_that_is_asked_for():
+    pytest.importorskip("matplotlib")
     clusters = Clusters(labels=np.array([0, -1, 1, 0], np.int32), num_clusters=2)
     axes = percept.plot.cloud(CLOUD, labels=clusters, across="xz")
     assert in_metres(axes) == {"none", "0", "1"}
@@ -173,10 +175,12 @@ NO_SCENE = SceneGraph(stamp_ns=0, map_version=0, frame_id="map", nodes=(), relat
 
 @pytest.mark.parametrize("shown", [GRID, NO_GRID, CLOUD, NOTHING, NOWHERE, WAY, PATH])
 def test_what_people_look_at_is_a_picture_in_a_notebook_also_if_it_is_empty(shown):
+    pytest.importorskip("matplotlib")
     assert shown._repr_png_().startswith(b"\x89PNG")
 
 
 def test_without_matplotlib_it_shows_as_text_and_plot_says_what_to_install(monkeypatch):
+    pytest.importorskip("matplotlib")
     assert "<img" in NO_SCENE._repr_html_()
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.setitem(sys.modules, "matplotlib.colors", None)
