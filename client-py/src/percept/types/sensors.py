@@ -150,9 +150,13 @@ class SensorStatus(Value):
     )
 
     spec: SensorSpec
+    #: Frames taken since the session was created.
     accepted: int
+    #: Frames refused as bad input.
     rejected: int
+    #: Frames dropped because the queue was full (DROP_OLDEST).
     dropped: int
+    #: Numbers missing in the sender's sequence.
     gaps: int
     #: Mean rate over the last frames, hertz; None before two.
     rate_hz: float | None
@@ -173,7 +177,9 @@ class SensorStatus(Value):
 class Rejection(Value):
     """Why a frame was refused; the session is unharmed."""
 
+    #: Stable, upper-case.
     reason: str
+    #: Field, value and remedy.
     message: str
     field: str
     code: str
@@ -185,6 +191,7 @@ class FrameAck(Value):
     that broke before the answer came."""
 
     sensor_id: str
+    #: The sender's running number for this sensor; 0: not numbered.
     sequence: int
     stamp_ns: int
     result: FrameResult | None
