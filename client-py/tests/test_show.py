@@ -21,6 +21,7 @@ from percept import (
     Path,
     PointCloud,
     Pose,
+    PosePairs,
     SceneGraph,
     Trajectory,
 )
@@ -166,6 +167,17 @@ def test_a_cloud_is_drawn_by_labels_from_the_side_that_is_asked_for():
             percept.plot.cloud(CLOUD, across=wrong)
     with pytest.raises(ValueError, match="labels"):
         percept.plot.cloud(CLOUD, labels=np.zeros(3, np.int32))
+
+
+def test_the_figure_of_an_evaluation_has_room_for_all_its_axes(recwarn):
+    pytest.importorskip("matplotlib")
+    angle = np.linspace(0, 6, 50)
+    way = np.column_stack([3 * np.cos(angle), 2 * np.sin(angle), np.zeros((50, 4)), np.ones(50)])
+    pairs = PosePairs(stamps_ns=np.arange(50), reference=way, estimate=way)
+    figure = percept.plot.trajectories(pairs)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert not recwarn.list
+    assert all(min(axes.get_position().size) > 0.1 for axes in figure.axes)
 
 
 NOTHING = PointCloud(np.zeros((0, 3), np.float32))

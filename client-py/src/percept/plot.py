@@ -38,7 +38,7 @@ Floats = npt.NDArray[np.float64]
 MAX_POINTS = 200_000
 
 
-def _figure(**size: Any) -> Any:  # noqa: ANN401
+def _figure(layout: str, size: tuple[float, float]) -> Any:  # noqa: ANN401
     module = needed("matplotlib.figure", "percept.plot", "percept[plot]")
 
     # Not pyplot: no window, no global state. So it has to show itself in a notebook.
@@ -48,13 +48,13 @@ def _figure(**size: Any) -> Any:  # noqa: ANN401
             self.savefig(out, format="png", dpi=90)
             return out.getvalue()
 
-    return Figure(layout="compressed", **size)
+    return Figure(layout=layout, figsize=size)
 
 
 def _axes(axes: Any, across: str = "xy", title: str = "") -> Any:  # noqa: ANN401
     """Those that were given, or new ones in metres."""
     if axes is None:
-        axes = _figure(figsize=(7, 6)).add_subplot()
+        axes = _figure("compressed", (7, 6)).add_subplot()
         axes.set(title=title)
     axes.set(xlabel=f"{across[0]} [m]", ylabel=f"{across[1]} [m]", aspect="equal")
     return axes
@@ -257,7 +257,7 @@ def trajectories(metrics: TrajectoryMetrics | PosePairs) -> Any:  # noqa: ANN401
         raise ValueError("metrics hold no poses: ask for them with return_pairs=True")
     extent = np.ptp(pairs.reference[:, :3], axis=0)
     a, b = sorted(set(range(3)) - {int(np.argmin(extent))})
-    figure = _figure(figsize=(11, 7))
+    figure = _figure("constrained", (11, 7))
     grid = figure.add_gridspec(2, 2)
     paths = _axes(figure.add_subplot(grid[:, 0]), "xyz"[a] + "xyz"[b])
     paths.plot(pairs.reference[:, a], pairs.reference[:, b], color="0.5", label="reference")
