@@ -1,5 +1,6 @@
 """How results show themselves in notebooks, and what they become for other packages."""
 
+import dataclasses
 import html.parser
 import sys
 
@@ -167,6 +168,17 @@ def test_a_cloud_is_drawn_by_labels_from_the_side_that_is_asked_for():
             percept.plot.cloud(CLOUD, across=wrong)
     with pytest.raises(ValueError, match="labels"):
         percept.plot.cloud(CLOUD, labels=np.zeros(3, np.int32))
+
+
+def test_a_straight_drive_is_drawn_on_a_plane():
+    pytest.importorskip("matplotlib")
+    ahead = dataclasses.replace(WAY, positions=np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0]]))
+    axes = percept.plot.trajectory(ahead)
+    low, high = axes.get_ylim()
+    assert high - low >= 3.0
+    in_metres(axes)
+    aside = dataclasses.replace(WAY, positions=np.array([[0.0, 0, 0], [0, 50, 0], [0, 90, 0]]))
+    assert percept.plot.trajectory(aside, axes=axes).get_ylim()[1] > 90
 
 
 def test_the_figure_of_an_evaluation_has_room_for_all_its_axes(recwarn):

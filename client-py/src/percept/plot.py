@@ -68,6 +68,15 @@ def _finished(axes: Any) -> Any:  # noqa: ANN401
     if not np.isfinite(axes.dataLim.get_points()).all():
         axes.set(xlim=(0, 1), ylim=(0, 1))
         axes.text(0.5, 0.5, "empty", va="center", **inside)
+    # A straight drive would else be drawn on a line without height.
+    axes.autoscale_view()
+    spans = [abs(high - low) for low, high in (axes.get_xlim(), axes.get_ylim())]
+    for name, span in zip("xy", spans, strict=True):
+        if span < 0.3 * max(spans):
+            middle = sum(getattr(axes, f"get_{name}lim")()) / 2
+            widen = getattr(axes, f"set_{name}lim")
+            # Whatever is drawn over it may make it larger.
+            widen(middle - 0.15 * max(spans), middle + 0.15 * max(spans), auto=None)
     low, high = sorted(axes.get_xlim())
     longest = (high - low) / 4
     decade = 10.0 ** math.floor(math.log10(longest))
@@ -81,8 +90,11 @@ def _finished(axes: Any) -> Any:  # noqa: ANN401
     handles, labels = axes.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
     if once:
-        below = {"loc": "upper left", "bbox_to_anchor": (0, -0.12)}
-        axes.legend(once.values(), once.keys(), ncols=4, fontsize="small", **below)
+        transforms = needed("matplotlib.transforms", "percept.plot", "percept[plot]")
+        # Below the label of the x axis, however high the drawing is.
+        below = transforms.offset_copy(axes.transAxes, axes.figure, y=-38, units="points")
+        style = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": below, "borderaxespad": 0}
+        axes.legend(once.values(), once.keys(), ncols=4, fontsize="small", **style)
     return axes
 
 
