@@ -1,5 +1,6 @@
 """How results show themselves in notebooks, and what they become for other packages."""
 
+import dataclasses
 import html.parser
 import sys
 
@@ -21,6 +22,7 @@ from percept import (
     Path,
     PointCloud,
     Pose,
+    PosePairs,
     SceneGraph,
     Trajectory,
 )
@@ -136,6 +138,7 @@ def in_metres(axes):
 
 
 def test_what_is_drawn_over_a_map_keeps_its_metres():
+    pytest.importorskip("matplotlib")
     axes = percept.plot.occupancy(GRID)
     assert in_metres(axes) == {"free", "occupied", "unknown"}
     assert axes.images[0].get_extent() == [1.0, 2.5, -2.0, -1.0]
@@ -153,6 +156,7 @@ def test_what_is_drawn_over_a_map_keeps_its_metres():
 
 
 def test_a_cloud_is_drawn_by_labels_from_the_side_that_is_asked_for():
+    pytest.importorskip("matplotlib")
     clusters = Clusters(labels=np.array([0, -1, 1, 0], np.int32), num_clusters=2)
     axes = percept.plot.cloud(CLOUD, labels=clusters, across="xz")
     assert in_metres(axes) == {"none", "0", "1"}
@@ -166,6 +170,28 @@ def test_a_cloud_is_drawn_by_labels_from_the_side_that_is_asked_for():
         percept.plot.cloud(CLOUD, labels=np.zeros(3, np.int32))
 
 
+def test_a_straight_drive_is_drawn_on_a_plane():
+    pytest.importorskip("matplotlib")
+    ahead = dataclasses.replace(WAY, positions=np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0]]))
+    axes = percept.plot.trajectory(ahead)
+    low, high = axes.get_ylim()
+    assert high - low >= 3.0
+    in_metres(axes)
+    aside = dataclasses.replace(WAY, positions=np.array([[0.0, 0, 0], [0, 50, 0], [0, 90, 0]]))
+    assert percept.plot.trajectory(aside, axes=axes).get_ylim()[1] > 90
+
+
+def test_the_figure_of_an_evaluation_has_room_for_all_its_axes(recwarn):
+    pytest.importorskip("matplotlib")
+    angle = np.linspace(0, 6, 50)
+    way = np.column_stack([3 * np.cos(angle), 2 * np.sin(angle), np.zeros((50, 4)), np.ones(50)])
+    pairs = PosePairs(stamps_ns=np.arange(50), reference=way, estimate=way)
+    figure = percept.plot.trajectories(pairs)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert not recwarn.list
+    assert all(min(axes.get_position().size) > 0.1 for axes in figure.axes)
+
+
 NOTHING = PointCloud(np.zeros((0, 3), np.float32))
 NOWHERE = PointCloud(np.full((5, 3), np.nan, np.float32))
 NO_SCENE = SceneGraph(stamp_ns=0, map_version=0, frame_id="map", nodes=(), relations=())
@@ -173,10 +199,12 @@ NO_SCENE = SceneGraph(stamp_ns=0, map_version=0, frame_id="map", nodes=(), relat
 
 @pytest.mark.parametrize("shown", [GRID, NO_GRID, CLOUD, NOTHING, NOWHERE, WAY, PATH])
 def test_what_people_look_at_is_a_picture_in_a_notebook_also_if_it_is_empty(shown):
+    pytest.importorskip("matplotlib")
     assert shown._repr_png_().startswith(b"\x89PNG")
 
 
 def test_without_matplotlib_it_shows_as_text_and_plot_says_what_to_install(monkeypatch):
+    pytest.importorskip("matplotlib")
     assert "<img" in NO_SCENE._repr_html_()
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.setitem(sys.modules, "matplotlib.colors", None)

@@ -121,6 +121,10 @@ def test_a_sensor_is_checked_when_it_is_made():
         SensorSpec("lidar", kind="lidar3d", range_max_m=-1)
     with pytest.raises(ValueError, match="kind is 'laser'; choose one of depth, rgbd"):
         SensorSpec("lidar", kind="laser")
+    with pytest.raises(ValueError, match="kind is 'unspecified'; choose one of depth"):
+        SensorSpec("lidar", kind="unspecified")
+    with pytest.raises(ValueError, match="sensor_id is 5; use"):
+        SensorSpec(5, kind="imu")
     with pytest.raises(ValueError, match="intrinsics is missing"):
         SensorSpec("camera", kind="depth")
     with pytest.raises(ValueError, match=r"width_px is 64.5.*whole number"):
@@ -193,6 +197,11 @@ def test_values_are_frozen_print_short_and_compare_by_content():
     assert frame != CloudFrame("lidar", stamp_ns=6, cloud=cloud)
     with pytest.raises(dataclasses.FrozenInstanceError):
         frame.stamp_ns = 6
+
+
+@pytest.mark.parametrize("num_points", [0, 1, 2, 3])
+def test_clouds_of_few_points_print(num_points):
+    assert "points=" in repr(PointCloud(np.zeros((num_points, 3), np.float32)))
 
 
 def test_words_are_their_strings():

@@ -11,6 +11,7 @@ Without matplotlib they raise ImportError.
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterable
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ._arrays import Array
 from ._optional import needed
 from .errors import WrongType
 from .types.cloud import Labels, PointCloud, labels_of
@@ -36,16 +38,23 @@ Floats = npt.NDArray[np.float64]
 MAX_POINTS = 200_000
 
 
-def _figure(**size: Any) -> Any:  # noqa: ANN401
-    # Not pyplot: no window, no global state.
+def _figure(layout: str, size: tuple[float, float]) -> Any:  # noqa: ANN401
     module = needed("matplotlib.figure", "percept.plot", "percept[plot]")
-    return module.Figure(layout="compressed", **size)
+
+    # Not pyplot: no window, no global state. So it has to show itself in a notebook.
+    class Figure(module.Figure):  # type: ignore[misc, name-defined]
+        def _repr_png_(self) -> bytes:
+            out = io.BytesIO()
+            self.savefig(out, format="png", dpi=90)
+            return out.getvalue()
+
+    return Figure(layout=layout, figsize=size)
 
 
 def _axes(axes: Any, across: str = "xy", title: str = "") -> Any:  # noqa: ANN401
     """Those that were given, or new ones in metres."""
     if axes is None:
-        axes = _figure(figsize=(7, 6)).add_subplot()
+        axes = _figure("compressed", (7, 6)).add_subplot()
         axes.set(title=title)
     axes.set(xlabel=f"{across[0]} [m]", ylabel=f"{across[1]} [m]", aspect="equal")
     return axes
@@ -59,6 +68,15 @@ def _finished(axes: Any) -> Any:  # noqa: ANN401
     if not np.isfinite(axes.dataLim.get_points()).all():
         axes.set(xlim=(0, 1), ylim=(0, 1))
         axes.text(0.5, 0.5, "empty", va="center", **inside)
+    # A straight drive would else be drawn on a line without height.
+    axes.autoscale_view()
+    spans = [abs(high - low) for low, high in (axes.get_xlim(), axes.get_ylim())]
+    for name, span in zip("xy", spans, strict=True):
+        if span < 0.3 * max(spans):
+            middle = sum(getattr(axes, f"get_{name}lim")()) / 2
+            widen = getattr(axes, f"set_{name}lim")
+            # Whatever is drawn over it may make it larger.
+            widen(middle - 0.15 * max(spans), middle + 0.15 * max(spans), auto=None)
     low, high = sorted(axes.get_xlim())
     longest = (high - low) / 4
     decade = 10.0 ** math.floor(math.log10(longest))
@@ -72,8 +90,11 @@ def _finished(axes: Any) -> Any:  # noqa: ANN401
     handles, labels = axes.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
     if once:
-        below = {"loc": "upper left", "bbox_to_anchor": (0, -0.12)}
-        axes.legend(once.values(), once.keys(), ncols=4, fontsize="small", **below)
+        transforms = needed("matplotlib.transforms", "percept.plot", "percept[plot]")
+        # Below the label of the x axis, however high the drawing is.
+        below = transforms.offset_copy(axes.transAxes, axes.figure, y=-38, units="points")
+        style = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": below, "borderaxespad": 0}
+        axes.legend(once.values(), once.keys(), ncols=4, fontsize="small", **style)
     return axes
 
 
@@ -138,17 +159,18 @@ def path(found: Path | CoveragePath | FlightPath | NoPath, *, axes: Any = None) 
 
 
 def cloud(
-    points: PointCloud | MapCloud,
+    points: PointCloud | MapCloud | Array,
     *,
     labels: Labels | None = None,
     across: str = "xy",
     axes: Any = None,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
-    """A cloud seen along the axis that `across` leaves out (xy: from above), coloured by labels (those of
-    clusters, say; none in grey), else in its own colours, else by that axis. Points that are not finite are
-    left out, and of more than 200000 as many are drawn."""
+    """A cloud, or its points (N, 3) float32, seen along the axis that `across` leaves out (xy: from above),
+    coloured by labels (those of clusters, say; none in grey), else in its own colours, else by that axis.
+    Points that are not finite are left out, and of more than 200000 as many are drawn."""
     if isinstance(points, MapCloud):
         points = points.cloud
+    points = points if isinstance(points, PointCloud) else PointCloud(points)
     if len(across) != 2 or not set(across) < set("xyz") or across[0] == across[1]:
         raise WrongType(f"across is {across!r}; give two of x, y, z", reason="AXES_INVALID", field="across")
     numbers = None if labels is None else labels_of(labels, len(points))
@@ -247,7 +269,7 @@ def trajectories(metrics: TrajectoryMetrics | PosePairs) -> Any:  # noqa: ANN401
         raise ValueError("metrics hold no poses: ask for them with return_pairs=True")
     extent = np.ptp(pairs.reference[:, :3], axis=0)
     a, b = sorted(set(range(3)) - {int(np.argmin(extent))})
-    figure = _figure(figsize=(11, 7))
+    figure = _figure("constrained", (11, 7))
     grid = figure.add_gridspec(2, 2)
     paths = _axes(figure.add_subplot(grid[:, 0]), "xyz"[a] + "xyz"[b])
     paths.plot(pairs.reference[:, a], pairs.reference[:, b], color="0.5", label="reference")

@@ -11,6 +11,7 @@ import numpy as np
 from .. import _rpc
 from .._arrays import number
 from .._call import Call
+from ..errors import WrongType
 from ..types.frames import SensorFrame
 from ..types.geometry import FloorPoint, OrientedBox, Pose, as_pose
 from ..types.maps import MapStamp
@@ -147,9 +148,12 @@ def poses_to(poses: Path | Sequence[Pose]) -> list[geometry_pb2.Pose2]:
     """Poses on the floor, or a path's, as messages."""
     if isinstance(poses, Path):
         rows = np.column_stack([poses.waypoints, poses.yaws_rad]).tolist()
-    else:
+    elif isinstance(poses, (Sequence, np.ndarray)) and not isinstance(poses, str):
         given = [as_pose(f"poses[{i}]", pose) for i, pose in enumerate(poses)]
         rows = [(*pose.translation[:2].tolist(), pose.yaw_rad) for pose in given]
+    else:
+        message = f"poses is {poses!r}; give a Path or a list of Pose"
+        raise WrongType(message, reason="PATH_INVALID", field="poses")
     return [geometry_pb2.Pose2(x_m=x, y_m=y, yaw_rad=yaw) for x, y, yaw in rows]
 
 

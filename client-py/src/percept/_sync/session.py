@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
+from ..errors import WrongType
 from ..types.exploration import (
     CoverageOptions,
     CoveragePath,
@@ -213,7 +215,10 @@ class Session(SessionBound, FrameSender[FrameResult]):
         or up to twice that where it does not fit there, and looks at it (HYBRID planner). Of the places
         around it the first is taken that can be reached, nearest to the robot first; if none can, the answer
         is why not the nearest. Raises NotFound if there is no such object."""
-        target = thing if isinstance(thing, Object) else self.scene.object(thing)
+        if not (isinstance(thing, Object) or hasattr(thing, "__index__")):
+            message = f"thing is {thing!r}; give an object, or its number"
+            raise WrongType(message, reason="THING_INVALID", field="thing")
+        target = thing if isinstance(thing, Object) else self.scene.object(operator.index(thing))
         pose = self.pose() if start is None else None
         here = start if pose is None else pose.t_map_base
         nearest: NoPath | None = None

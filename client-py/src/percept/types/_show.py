@@ -52,17 +52,15 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
 
 
-def png(draw: Callable[[Any], object]) -> bytes | None:
+def png(draw: Callable[[Any], Any]) -> bytes | None:
     """What a function draws with percept.plot; None where matplotlib is missing: it then shows as text."""
     try:
         from .. import plot
 
-        axes = draw(plot)
+        picture: bytes = draw(plot).figure._repr_png_()
     except ImportError:
         return None
-    out = io.BytesIO()
-    axes.figure.savefig(out, format="png", dpi=90)  # type: ignore[attr-defined]
-    return out.getvalue()
+    return picture
 
 
 def image(data: bytes | None) -> str:

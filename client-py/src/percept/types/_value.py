@@ -31,12 +31,11 @@ class Name(str, Enum):
         return repr(self.value)
 
 
-def one_of(field: str, word: object, names: type[Name]) -> None:
-    """Refuses what is none of the words; `unspecified` counts only where it is allowed."""
-    known = [str(name) for name in names]
-    if str(word).lower() not in known:
-        choice = ", ".join(name for name in known if name != "unspecified")
-        message = f"{field} is {str(word)!r}; choose one of {choice}"
+def one_of(field: str, word: object, names: type[Name], *, or_unspecified: bool = False) -> None:
+    """Refuses what is none of the words."""
+    known = [str(name) for name in names if name != "unspecified"]
+    if str(word).lower() not in [*known, *(["unspecified"] if or_unspecified else [])]:
+        message = f"{field} is {str(word)!r}; choose one of {', '.join(known)}"
         raise InvalidArgument(message, reason="ENUM_UNKNOWN", field=field)
 
 
@@ -59,7 +58,7 @@ class Value:
 
 def _shown(value: Any) -> str:  # noqa: ANN401
     if isinstance(value, np.ndarray):
-        if value.size <= 7:
+        if value.ndim == 1 and value.size <= 7:
             return str([float(f"{v:.4g}") if value.dtype.kind == "f" else v for v in value.tolist()])
         return f"<{' x '.join(map(str, value.shape))} {value.dtype.name}>"
     if isinstance(value, float):

@@ -35,6 +35,7 @@ class DeltaUnit(Name):
 class ErrorStatistics(Value):
     """Summary of a list of errors."""
 
+    #: Root of the mean square, in the unit of what it is of.
     rmse: float
     mean: float
     median: float
@@ -47,6 +48,7 @@ class ErrorStatistics(Value):
 class SegmentDrift(Value):
     """KITTI's drift, averaged over segments of fixed lengths."""
 
+    #: Error at the end of a segment over its length, mean of all.
     translation_percent: float
     rotation_deg_per_m: float
     num_segments: int
@@ -71,18 +73,23 @@ class PosePairs(Value):
 class TrajectoryMetrics(Value):
     """How good a trajectory is."""
 
+    #: Poses of the estimate with one of the truth at their time.
     num_pairs: int
+    #: Distance between positions after alignment, metres.
     ate_m: ErrorStatistics
+    #: Angle between rotations after alignment, degrees.
     ate_rot_deg: ErrorStatistics
     #: Over the stretch asked for; None if no poses are as far apart.
     rpe_trans_m: ErrorStatistics | None
     #: Over the stretch, degrees.
     rpe_rot_deg: ErrorStatistics | None
+    #: Of the truth, metres.
     path_length_m: float
     #: Error of the last pose, first poses laid over each other; None for a path without length.
     drift_percent: float | None
     #: None for paths shorter than the shortest segment.
     segment_drift: SegmentDrift | None
+    #: By which the estimate was multiplied; 1 unless the alignment has one.
     scale: float
     #: The alignment: estimate's frame, once scaled, to the reference's.
     t_reference_estimate: Pose
@@ -110,6 +117,7 @@ class LabelledBox(Value):
     """A box with a class, for judging detections."""
 
     object_class: ObjectClass | str
+    #: In a frame that all boxes share.
     box: OrientedBox
     #: Detections only.
     confidence: float = 0.0
@@ -122,7 +130,11 @@ class DetectionMetrics(Value):
     true_positives: int
     false_positives: int
     false_negatives: int
+    #: 0 to 1.
     precision: float
+    #: 0 to 1.
     recall: float
+    #: Intersection over union of the pairs, 0 to 1.
     mean_iou: float
+    #: Share of the pairs with the right class, 0 to 1.
     class_accuracy: float

@@ -63,6 +63,7 @@ class Frontier(Value):
     goal: Floats
     #: Cost of the way there, metres, weighted by clearance.
     cost: float
+    #: Of the stretch, metres.
     length_m: float
     #: Centres of its cells, at most 1000 of them, (N, 2).
     cells: Floats
@@ -110,9 +111,11 @@ class FlightPath(Value):
 
     #: From start to goal, straight in between, map frame, metres, (N, 3).
     waypoints: Floats
+    #: Metres.
     length_m: float
     #: Smallest distance to an obstacle's voxel, metres; None if it is more than the radius and two voxels.
     min_clearance_m: float | None
+    #: State of the map that was searched.
     stamp: MapStamp
 
     def __bool__(self) -> bool:
@@ -123,12 +126,15 @@ class FlightPath(Value):
 class NoFlight(Value):
     """No path in space, and why: an answer, not an error."""
 
+    #: As of paths on the ground.
     reason: NoPathReason
+    #: The same in words.
     detail: str
     #: Of an end where the ball does not fit: where, map frame, metres, (3,).
     position: Floats | None
     #: Centre of the nearest voxel that blocks it, (3,).
     obstacle: Floats | None
+    #: What blocks it: occupied, unknown or keep-out.
     state: BlockingState
     stamp: MapStamp
 

@@ -90,6 +90,7 @@ class CloudFrame(Value):
 
     sensor_id: str
     stamp_ns: int = field(kw_only=True)
+    #: Metres; its time_offsets_s count from stamp_ns.
     cloud: PointCloud = field(kw_only=True)
 
 
@@ -101,10 +102,14 @@ class ScanFrame(Value):
     stamp_ns: int = field(kw_only=True)
     #: Metres, (B,) float32; +inf no return, NaN or -inf invalid (REP-117).
     ranges_m: Array = field(kw_only=True)
+    #: Of the first beam, counter-clockwise from the sensor's x axis.
     angle_min_rad: float = field(kw_only=True)
     angle_increment_rad: float = field(kw_only=True)
+    #: Ranges below it are no measurement.
     range_min_m: float = field(kw_only=True)
+    #: Ranges at or beyond it mean free up to it.
     range_max_m: float = field(kw_only=True)
+    #: From beam to beam; 0: all at once.
     time_increment_s: float = field(default=0.0, kw_only=True)
     #: (B,) float32.
     intensities: Array | None = field(default=None, kw_only=True)
@@ -145,6 +150,7 @@ class OdometryFrame(Value):
 
     sensor_id: str
     stamp_ns: int = field(kw_only=True)
+    #: Base in the odometry's own, drifting frame.
     t_odom_base: Pose = field(kw_only=True)
     #: Of the step since the sample before, in base, (6, 6): x, y, z, rotation x, y, z.
     covariance: Array | None = field(default=None, kw_only=True)

@@ -279,7 +279,7 @@ class CameraIntrinsics(Value):
         for name in ("cx_px", "cy_px"):
             number(name, getattr(self, name), must="a finite number of pixels")
         one_of("distortion_model", self.distortion_model, DistortionModel)
-        coefficients = np.asarray(self.distortion, dtype=np.float64).ravel()
+        coefficients = [number("distortion", value, must="finite numbers") for value in self.distortion]
         wanted = _NUM_COEFFICIENTS[str(self.distortion_model).lower()]
         if len(coefficients) != wanted:
             message = (
@@ -287,6 +287,4 @@ class CameraIntrinsics(Value):
                 f"{wanted}; give exactly these, zeros for those that are unknown"
             )
             raise InvalidArgument(message, reason="SIZE_MISMATCH", field="distortion")
-        for value in coefficients:
-            number("distortion", value, must="finite")
-        object.__setattr__(self, "distortion", tuple(coefficients.tolist()))
+        object.__setattr__(self, "distortion", tuple(coefficients))

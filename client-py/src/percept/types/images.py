@@ -37,6 +37,7 @@ class EssentialEstimate(Value):
     inliers: npt.NDArray[np.uint32]
     #: Of those, how many show a parallax that tells about the translation.
     num_with_parallax: int
+    #: Of the inliers.
     rmse_px: float
     #: Samples that were drawn.
     iterations: int
@@ -50,6 +51,7 @@ class HomographyEstimate(Value):
     homography: Floats
     #: Of the correspondences that fit, (M,) uint32, ascending.
     inliers: npt.NDArray[np.uint32]
+    #: Of the inliers.
     rmse_px: float
     #: Samples that were drawn.
     iterations: int
@@ -93,6 +95,7 @@ class TwoViewEstimate(Value):
 class PosedView(Value):
     """A camera with a known pose, and what it sees."""
 
+    #: Its lens.
     camera: CameraIntrinsics
     #: Optical frame to world.
     t_world_camera: Pose
@@ -126,6 +129,7 @@ class PnpEstimate(Value):
     covariance: Floats
     #: Of the correspondences that fit, (M,) uint32, ascending.
     inliers: npt.NDArray[np.uint32]
+    #: Of the inliers.
     rmse_px: float
     #: Samples that were drawn.
     iterations: int

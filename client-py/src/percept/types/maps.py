@@ -21,6 +21,7 @@ from .sensors import SensorKind
 class MapStamp(Value):
     """From which state of the map an answer was read."""
 
+    #: Grows with each change of the map.
     map_version: int
     #: Newest frame in it.
     stamp_ns: int
@@ -98,6 +99,7 @@ class MapImported(Value):
 class Region(Value):
     """An axis-aligned part of the map's xy plane, metres."""
 
+    #: Map frame.
     min_x_m: float
     min_y_m: float
     max_x_m: float
@@ -108,6 +110,7 @@ class Region(Value):
 class GridGeometry(Value):
     """Where a grid lies: row-major, x -> column, y -> row, row 0 has the smallest y."""
 
+    #: Edge of a cell, metres.
     resolution_m: float
     #: Lower-left corner of cell (0, 0), metres, map frame, (2,).
     origin: Floats
@@ -132,6 +135,7 @@ class OccupancyGrid(Value):
 
     #: (height, width) int8.
     cells: npt.NDArray[np.int8]
+    #: Edge of a cell, metres.
     resolution_m: float
     #: Lower-left corner of cell (0, 0), metres, map frame, (2,).
     origin: Floats
@@ -171,6 +175,7 @@ class OccupancyGrid(Value):
 class MapCloud(Value):
     """The fused cloud, map frame."""
 
+    #: Map frame, metres.
     cloud: PointCloud
     stamp: MapStamp
     #: Edge of the voxels that its points are means of, metres; None of a cloud that was downloaded.
@@ -208,6 +213,7 @@ class MapSummary(Value):
     #: None while nothing was mapped.
     occupancy: GridGeometry | None
     num_points: int
+    #: Of the fused cloud, metres.
     voxel_size_m: float
     num_keyframes: int
     #: What the session takes in memory; limits.max_session_memory_mb of the server bounds it.
@@ -266,6 +272,7 @@ class MapFormat(Name):
 class MapFile(Value):
     """The map as a file; its checksum was compared."""
 
+    #: The file's bytes.
     data: bytes
     file_name: str
     media_type: str

@@ -171,6 +171,7 @@ class Path(Value):
     waypoints: Floats
     #: Heading at each, radians from the map's x axis towards y, (N,).
     yaws_rad: Floats
+    #: Metres.
     length_m: float
     #: What the search kept small, metres: length, and more near obstacles, in speed zones, for turning.
     cost: float
@@ -281,7 +282,9 @@ class Blocking(Value):
 class NoPath(Value):
     """No path, and why: an answer, not an error."""
 
+    #: For programs.
     reason: NoPathReason
+    #: The reason in words.
     detail: str
     #: Of an end where the robot does not fit: what is too near. Of "unreachable": the first place that
     #: blocks the way which crosses least of such places.

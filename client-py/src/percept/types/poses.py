@@ -74,8 +74,10 @@ class WaitingFor(Name):
 class PoseEstimate(Value):
     """Where the robot is, how sure we are, or that we are lost."""
 
+    #: Of the frame.
     stamp_ns: int
     state: TrackingState
+    #: Base in map, metres; moved by corrections. Where lost: a prediction.
     t_map_base: Pose
     #: Of a right perturbation in base, (6, 6): x, y, z, rotation x, y, z.
     covariance: Floats
@@ -87,10 +89,12 @@ class PoseEstimate(Value):
     lost_message: str
     #: Share of the frame's points that fit the local model, 0 to 1.
     inlier_ratio: float
+    #: Root mean square residual of those, metres.
     rmse_m: float
     #: Axes of base (x, y, z, rotation x, y, z) that the surroundings do not fix.
     degenerate_axes: tuple[bool, ...]
     map_version: int
+    #: Unknown: positions are in a unit of their own, and no path begins there.
     scale: Scale
     scale_source: ScaleSource
     #: The same in words, or what would tell the scale.
@@ -131,6 +135,7 @@ class PoseAt(Value):
 
     #: As asked for.
     stamp_ns: int
+    #: Base in map, between the two frames.
     t_map_base: Pose
     #: Continuous, never corrected; None if the scale is unknown.
     t_odom_base: Pose | None
@@ -172,7 +177,9 @@ class FrameResult(Value):
 
     #: None for sensors that do not move the pose, and in ingest_only.
     pose: PoseEstimate | None
+    #: Number of the keyframe that it became; None if it became none.
     keyframe_id: int | None
+    #: In the queue and in the pipeline, seconds.
     latency_s: float
     #: The frame had been taken in before; nothing was done with it this time.
     duplicate: bool

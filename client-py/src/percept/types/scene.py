@@ -56,6 +56,7 @@ class ObjectAnnotation(Value):
 class PastObjectState(Value):
     """What an object was from a stamp on."""
 
+    #: From when on.
     stamp_ns: int
     label: str
     state: ObjectState
@@ -91,6 +92,7 @@ class Object(Value):
     velocity_mps: Floats
     #: Of the velocity along x, and along y, (m/s)^2; zero unless moving.
     velocity_variance: float
+    #: Stamps of the first and the newest frame that saw it.
     first_seen_ns: int
     last_seen_ns: int
     num_observations: int
@@ -245,6 +247,7 @@ class SceneNode(Value):
     node_id: str
     kind: SceneNodeKind
     label: str
+    #: Its middle, and which way it lies, in map.
     t_map_node: Pose
     #: Of an object.
     object: Object | None
@@ -355,8 +358,10 @@ class RelationFilter:
 class SceneGraph(Value):
     """Who is where, and how things relate."""
 
+    #: Time that it holds at.
     stamp_ns: int
     map_version: int
+    #: Of all coordinates in it.
     frame_id: str
     nodes: tuple[SceneNode, ...]
     relations: tuple[Relation, ...]

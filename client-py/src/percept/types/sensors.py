@@ -57,15 +57,15 @@ class SensorSpec(Value):
     overload_policy: OverloadPolicy | str = field(default=OverloadPolicy.UNSPECIFIED, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", str(self.sensor_id)):
-            shown = str(self.sensor_id)[:80]
-            message = f"sensor_id is {shown!r}; use 1 to 64 characters of a-z A-Z 0-9 _ -"
+        is_word = isinstance(self.sensor_id, str) and re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", self.sensor_id)
+        if not is_word:
+            message = f"sensor_id is {self.sensor_id!r:.80}; use 1 to 64 characters of a-z A-Z 0-9 _ -"
             raise InvalidArgument(message, reason="ID_INVALID", field="sensor_id")
-        one_of("kind", "" if self.kind == "unspecified" else self.kind, SensorKind)
-        one_of("overload_policy", self.overload_policy, OverloadPolicy)
+        one_of("kind", self.kind, SensorKind)
+        one_of("overload_policy", self.overload_policy, OverloadPolicy, or_unspecified=True)
         self._check_mount()
         self._check_intrinsics()
-        number("time_offset_s", self.time_offset_s, must="finite")
+        number("time_offset_s", self.time_offset_s, must="a finite number of seconds")
         if self.range_max_m is not None:
             must = "above 0 and at most 10000 m; send metres, or leave it out"
             number("range_max_m", self.range_max_m, low=0, high=1e4, must=must)
@@ -211,9 +211,13 @@ class SensorStatus(Value):
     )
 
     spec: SensorSpec
+    #: Frames taken since the session was created.
     accepted: int
+    #: Frames refused as bad input.
     rejected: int
+    #: Frames dropped because the queue was full (DROP_OLDEST).
     dropped: int
+    #: Numbers missing in the sender's sequence.
     gaps: int
     #: Mean rate over the last frames, hertz; None before two.
     rate_hz: float | None
@@ -238,7 +242,9 @@ class SensorStatus(Value):
 class Rejection(Value):
     """Why a frame was refused; the session is unharmed."""
 
+    #: Stable, upper-case.
     reason: str
+    #: Field, value and remedy.
     message: str
     field: str
     code: str
@@ -250,6 +256,7 @@ class FrameAck(Value):
     that broke before the answer came."""
 
     sensor_id: str
+    #: The sender's running number for this sensor; 0: not numbered.
     sequence: int
     stamp_ns: int
     result: FrameResult | None

@@ -69,6 +69,7 @@ class SessionInfo(Value):
     session_id: str
     display_name: str
     mode: SessionMode
+    #: By the server's clock.
     create_time_ns: int
     #: Every parameter in force, nested; None in lists.
     params: Mapping[str, object] | None = field(repr=False)
@@ -78,7 +79,9 @@ class SessionInfo(Value):
     pose: PoseEstimate | None
     num_keyframes: int
     num_objects: int
+    #: Grows with each change of the map.
     map_version: int
+    #: Frames that wait to be processed.
     queue_length: int
     state: SessionState
     #: None unless it is faulted.
@@ -163,7 +166,9 @@ class Keyframe(Value):
     keyframe_id: int
     stamp_ns: int
     sensor_id: str
+    #: Base in map, with all corrections so far.
     t_map_base: Pose
+    #: Of its scan.
     num_points: int
 
 

@@ -48,6 +48,7 @@ class LocalFeatures(Value):
 class Boxes(Value):
     """Boxes around a cloud."""
 
+    #: Along the axes of the input's frame.
     axis_aligned: OrientedBox
     #: Upright along z, of least area.
     upright: OrientedBox
@@ -77,6 +78,7 @@ class DepthPlane(Value):
     #: Mean of its points, metres, (3,).
     centre: Floats
     num_pixels: int
+    #: Of its points from the plane, metres.
     rms_m: float
 
 

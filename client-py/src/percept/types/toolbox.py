@@ -37,6 +37,7 @@ class SessionCloud:
     session_id: str
     #: Metres, map frame.
     centre: Sequence[float] | None = None
+    #: About the centre.
     radius_m: float | None = None
 
 
@@ -122,6 +123,7 @@ class PlaneKind(Name):
 class PlaneSegment(Value):
     """A plane that was found."""
 
+    #: In the frame of the input.
     plane: Plane
     kind: PlaneKind
     #: Of its points in the input, ascending, (M,) uint32.
@@ -199,6 +201,7 @@ class RegistrationOutcome(Name):
 class Registration(Value):
     """How a source cloud lies over a target cloud."""
 
+    #: Takes coordinates of the source to those of the target.
     t_target_source: Pose
     #: Share of source points with a partner, 0 to 1.
     fitness: float
@@ -239,6 +242,7 @@ class GlobalRegistration(Value):
 
     #: Use the transform only if FOUND.
     outcome: GlobalRegistrationOutcome
+    #: Takes coordinates of the source to those of the target.
     t_target_source: Pose
     #: Of a right perturbation in source, (6, 6); zero without refinement.
     covariance: Floats
