@@ -378,9 +378,14 @@ mod tests {
 
     /// A camera that looks ahead, with a frame in.
     fn camera() -> SensorStatus {
-        let mut spec = SensorSpec::new(SensorId::from("camera"), SensorKind::Depth);
-        spec.t_base_sensor = Pose::from_parts(nalgebra::Translation3::identity(), SensorSpec::optical_rotation());
-        spec.intrinsics = Some(CameraIntrinsics::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5));
+        let spec = SensorSpec {
+            id: SensorId::from("camera"),
+            kind: SensorKind::Depth,
+            t_base_sensor: Pose::from_parts(nalgebra::Translation3::identity(), SensorSpec::optical_rotation()),
+            intrinsics: Some(CameraIntrinsics::pinhole(640, 480, 525.0, 525.0, 319.5, 239.5)),
+            time_offset_s: 0.0,
+            range_max_m: None,
+        };
         let declaration = SensorDeclaration { spec, overload: OverloadPolicy::default() };
         let figures = StreamFigures {
             delay_s: Some(0.02),
