@@ -240,8 +240,8 @@ class NoPathReason(Name):
     #: No start was given, and the robot's place is not known: it is lost (`session.pose()` says why), or no
     #: frame has come yet.
     LOST = "lost"
-    #: No start was given, and a camera alone moves the robot: its poses are not in metres (`scale_message` of the
-    #: pose says what would tell lengths; no map is built until then).
+    #: No start was given, and a camera alone moves the robot, whose poses are not in metres
+    #: (`scale_message` of the pose says what would tell lengths; no map is built until then).
     SCALE_UNKNOWN = "scale_unknown"
     #: The start is free, and the robot does not fit there.
     START_DOES_NOT_FIT = "start_does_not_fit"
