@@ -112,7 +112,7 @@ fn short(trouble: &v1::StreamTrouble) -> String {
 
 /// One line.
 fn figures(sensor: &v1::SensorStatus) -> String {
-    let f = sensor.figures.clone().unwrap_or_default();
+    let f = sensor.figures.unwrap_or_default();
     if sensor.accepted == 0 {
         return format!("no frame taken, {} refused", sensor.rejected);
     }
