@@ -106,8 +106,9 @@ fn told(session: &v1::Session) -> String {
     lines.join("\n") + "\n"
 }
 
+/// The kind without the three words that all kinds begin with.
 fn short(trouble: &v1::StreamTrouble) -> String {
-    trouble.kind().as_str_name().trim_start_matches("STREAM_TROUBLE_KIND_").to_owned()
+    trouble.kind().as_str_name().split('_').skip(3).collect::<Vec<_>>().join("_")
 }
 
 /// One line.

@@ -2,8 +2,10 @@
 
 use percept_geometry::{DepthImage, PointCloud, SensorData};
 
-/// So many values are looked at, evenly spread: a share of 5 % is told to 1 % (standard error of a binomial).
+/// So many values are looked at: a share of 5 % is told to 1 % (standard error of a binomial).
 const SAMPLES: usize = 512;
+/// Steps of this share of the whole spread samples evenly and fall in with no pattern of rows and columns (Weyl's sequence).
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// A frame at first sight.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -48,15 +50,17 @@ impl FrameLook {
     }
 
     fn of_ranges(len: usize, range: impl Fn(usize) -> Option<f64>) -> Self {
-        let step = len.div_ceil(SAMPLES).max(1);
-        let looked = (0..len).step_by(step);
-        let num = looked.len().max(1);
-        let measured: Vec<f64> = looked.filter_map(range).collect();
+        let at = |k: usize| match len <= SAMPLES {
+            true => k,
+            false => ((k as f64 * GOLDEN).fract() * len as f64) as usize,
+        };
+        let num = len.min(SAMPLES);
+        let measured: Vec<f64> = (0..num).map(at).filter_map(range).collect();
         let mut ranges: Vec<f64> = measured.iter().copied().filter(|r| r.is_finite()).collect();
         ranges.sort_by(f64::total_cmp);
         Self {
             bytes: 0,
-            measured: Some(measured.len() as f64 / num as f64),
+            measured: Some(measured.len() as f64 / num.max(1) as f64),
             median_m: ranges.get(ranges.len() / 2).copied(),
         }
     }
