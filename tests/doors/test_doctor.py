@@ -83,7 +83,7 @@ def test_a_covered_camera_is_told(client):
 @pytest.mark.parametrize(
     ("change", "kind", "words"),
     [
-        ({"t_base_sensor": Pose(np.array([0.0, 0.0, 1.2]))}, "optical_frame", "(-0.5, 0.5, -0.5, 0.5)"),
+        ({"t_base_sensor": Pose.from_xyz(0.0, 0.0, 1.2)}, "optical_frame", "(-0.5, 0.5, -0.5, 0.5)"),
         # Those of 640 x 480, for images of half the size.
         (
             {"intrinsics": dataclasses.replace(world.INTRINSICS, fx_px=580, fy_px=580, cx_px=319.5, cy_px=239.5)},
@@ -129,10 +129,10 @@ def test_wheels_that_contradict_the_scans_are_told(client, way, turn, words):
             if i:
                 step = np.linalg.inv(poses[i - 1].matrix) @ pose.matrix
                 yaw = np.arctan2(step[1, 0], step[0, 0]) * turn
-                told = Pose.from_yaw(way * step[0, 3], way * step[1, 3], yaw).matrix
+                told = Pose.from_xy_yaw(way * step[0, 3], way * step[1, 3], yaw).matrix
                 t_odom_base = t_odom_base @ told
             yaw = float(np.arctan2(t_odom_base[1, 0], t_odom_base[0, 0]))
-            base = Pose.from_yaw(float(t_odom_base[0, 3]), float(t_odom_base[1, 3]), yaw)
+            base = Pose.from_xy_yaw(float(t_odom_base[0, 3]), float(t_odom_base[1, 3]), yaw)
             stream.send_odometry("wheels", stamp_ns=world.stamp(i), t_odom_base=base)
             stream.send_scan("laser", stamp_ns=world.stamp(i), **robots.scan(i))
     wheels = status(session, "wheels")
