@@ -122,7 +122,8 @@ impl MotionSensors {
         self.imus.values_mut().for_each(|i| i.learn(from, to, turn, is_planar));
         for (id, wheels) in &self.wheels {
             let check = self.wheels_checks.entry(id.clone()).or_default();
-            match wheels.between(from, to) {
+            // A pose in a unit of its own says nothing of metres, also once its unit is known.
+            match wheels.between(from, to).filter(|_| is_metric) {
                 Some(told) => check.add(&told.t_prev_now, motion),
                 None => check.interrupt(),
             }
@@ -136,7 +137,7 @@ impl MotionSensors {
             self.imu_faults = Arc::new(faults.filter(|(_, faults)| !faults.is_empty()).collect());
         }
         if self.num_learned.is_multiple_of(LOOK_EVERY) && !self.wheels_checks.is_empty() {
-            let faults = self.wheels_checks.iter().map(|(id, check)| (id.clone(), check.faults(is_metric)));
+            let faults = self.wheels_checks.iter().map(|(id, check)| (id.clone(), check.faults()));
             self.wheels_faults = Arc::new(faults.filter(|(_, faults)| !faults.is_empty()).collect());
         }
         if self.clocks.turned(from, to, turn.angle()) {

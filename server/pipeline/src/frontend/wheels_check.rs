@@ -81,7 +81,7 @@ impl Sums {
 }
 
 impl WheelsCheck {
-    /// Adds the motion between two frames that were both placed.
+    /// Adds the motion between two frames that were both placed, in metres.
     pub(super) fn add(&mut self, told: &Pose, measured: &Pose) {
         self.open.told *= told;
         self.open.measured *= measured;
@@ -94,13 +94,13 @@ impl WheelsCheck {
         }
     }
 
-    /// The robot was not placed for a while: the stretch is no stretch.
+    /// The robot was not placed for a while, or not in metres: the stretch is no stretch.
     pub(super) fn interrupt(&mut self) {
         self.open = Stretch::default();
     }
 
-    /// What is wrong, once enough was driven to tell. `is_metric`: whether lengths of the pose are metres.
-    pub(super) fn faults(&self, is_metric: bool) -> Vec<WheelsFault> {
+    /// What is wrong, once enough was driven to tell.
+    pub(super) fn faults(&self) -> Vec<WheelsFault> {
         let (mut way, mut turns) = (Sums::default(), Sums::default());
         for s in &self.kept {
             way.add(&s.told.translation.vector, &s.measured.translation.vector);
@@ -115,7 +115,7 @@ impl WheelsCheck {
                 faults.push(fault(factor));
             }
         };
-        if is_metric && way.length > LEAST.0 {
+        if way.length > LEAST.0 {
             look(&way, |factor| WheelsFault::Way { factor });
         }
         if turns.length > LEAST.1 {
@@ -137,7 +137,7 @@ mod tests {
             let step = se3::from_xy_yaw(0.05, 0.0, 0.05 * if i / 40 % 2 == 0 { 1.0 } else { -1.0 });
             check.add(&told(i, &step), &step);
         }
-        check.faults(true)
+        check.faults()
     }
 
     fn scaled(step: &Pose, way: f64, turn: f64) -> Pose {
