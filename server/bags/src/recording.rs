@@ -76,6 +76,16 @@ struct Part {
     channels: BTreeMap<u32, usize>,
     /// Types by number.
     schemas: BTreeMap<u32, String>,
+    /// Messages of each channel number: a damaged file may tell what a channel is behind its first messages.
+    tallies: BTreeMap<u32, Tally>,
+}
+
+/// How many messages a channel has, and their times, ns.
+#[derive(Debug, Clone, Copy)]
+struct Tally {
+    num_messages: u64,
+    first: i64,
+    last: i64,
 }
 
 /// A recording that was opened: what is in it is known, its messages are read when they are asked for.
@@ -129,11 +139,26 @@ impl Recording {
             m if m.starts_with(sqlite::MAGIC) => Kind::Sqlite,
             _ => return Err(BagError::Unrecognised { path }),
         };
-        self.parts.push(Part { path: path.clone(), kind, channels: BTreeMap::new(), schemas: BTreeMap::new() });
+        let (channels, schemas, tallies) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        self.parts.push(Part { path: path.clone(), kind, channels, schemas, tallies });
         match kind {
             Kind::Mcap => self.walk::<Mcap>(&mut file, &path),
             Kind::Ros1 => self.walk::<Ros1Bag>(&mut file, &path),
             Kind::Sqlite => self.look(&path),
+        }?;
+        self.count();
+        Ok(())
+    }
+
+    /// Counts the messages of the last file for their topics.
+    fn count(&mut self) {
+        let Some(part) = self.parts.last() else { return };
+        for (channel, tally) in &part.tallies {
+            let topic = part.channels.get(channel).and_then(|index| self.topics.get_mut(*index));
+            let Some(topic) = topic else { continue };
+            topic.num_messages += tally.num_messages;
+            topic.first = topic.first.into_iter().chain([Timestamp(tally.first)]).min();
+            topic.last = topic.last.max(Some(Timestamp(tally.last)));
         }
     }
 
@@ -147,13 +172,10 @@ impl Recording {
             let sqlite::TopicRow { id, name, type_name, encoding, num_messages, span } = row;
             // Numbers of rows begin at 1; what is beyond 32 bits no recorder has written.
             let Ok(id) = u32::try_from(id) else { continue };
-            self.learn(Record::Channel { id, schema: 0, topic: name, type_name: Some(type_name), encoding }, &mut 0);
-            let index = self.parts.last().and_then(|part| part.channels.get(&id));
-            if let Some(topic) = index.and_then(|&index| self.topics.get_mut(index)) {
-                topic.num_messages += num_messages;
-                let (first, last) = (span.map(|s| Timestamp(s.0)), span.map(|s| Timestamp(s.1)));
-                topic.first = topic.first.into_iter().chain(first).min();
-                topic.last = topic.last.max(last);
+            self.learn(Record::Channel { id, schema: 0, topic: name, type_name: Some(type_name), encoding }, &mut None);
+            let tally = span.map(|(first, last)| Tally { num_messages, first, last });
+            if let (Some(part), Some(tally)) = (self.parts.last_mut(), tally) {
+                part.tallies.insert(id, tally);
             }
         }
         let part = self.parts.len() - 1;
@@ -213,7 +235,7 @@ impl Recording {
                         let block = Block::new(at, frame.num_bytes, block::Compression::None);
                         self.add_block::<C>(file, path, block)?;
                     }
-                    Ok(record) => self.learn(record, &mut 0),
+                    Ok(record) => self.learn(record, &mut None),
                     Err(what) => self.warn(path, at, what),
                 }
             }
@@ -234,12 +256,12 @@ impl Recording {
         if let Some(error) = error {
             self.warn(path, block.offset, format!("a chunk is damaged: {error}; read as far as it goes"));
         }
-        let mut first = i64::MAX;
+        let mut first = None;
         let ended = records::<C>(&bytes, |record| self.learn(record, &mut first));
         if let Err((_, what)) = ended {
             self.warn(path, block.offset, format!("{what} inside a chunk; read so far"));
         }
-        if first != i64::MAX {
+        if let Some(first) = first {
             block.first = first;
             self.places.push((self.parts.len() - 1, Place::Block(block)));
         }
@@ -247,7 +269,7 @@ impl Recording {
     }
 
     /// Takes in what a record of the last file says; `first` becomes the earliest time.
-    fn learn(&mut self, record: Record<'_>, first: &mut i64) {
+    fn learn(&mut self, record: Record<'_>, first: &mut Option<i64>) {
         let Some(part) = self.parts.last_mut() else { return };
         match record {
             Record::Schema { id, type_name } => {
@@ -263,13 +285,12 @@ impl Recording {
                 part.channels.entry(id).or_insert(index);
             }
             Record::Message { channel, log_time, .. } => {
-                let topic = part.channels.get(&channel).and_then(|index| self.topics.get_mut(*index));
-                let Some(topic) = topic else { return };
-                let time = Timestamp(log_time);
-                topic.num_messages += 1;
-                topic.first = Some(topic.first.map_or(time, |t| t.min(time)));
-                topic.last = Some(topic.last.map_or(time, |t| t.max(time)));
-                *first = log_time.min(*first);
+                let none = Tally { num_messages: 0, first: i64::MAX, last: i64::MIN };
+                let tally = part.tallies.entry(channel).or_insert(none);
+                tally.num_messages += 1;
+                tally.first = tally.first.min(log_time);
+                tally.last = tally.last.max(log_time);
+                *first = Some(first.map_or(log_time, |first| first.min(log_time)));
             }
             Record::Chunk { .. } | Record::End | Record::Other => {}
         }

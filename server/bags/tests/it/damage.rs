@@ -33,6 +33,33 @@ fn lz4(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
+/// The same messages, in front of what tells their channel: as a recorder that was killed, or damage, may leave them.
+#[test]
+fn messages_in_front_of_their_channel_are_counted_as_they_are_read() {
+    let bag = ros1_bag("none", <[u8]>::to_vec, &[3, 1, 2]);
+    // The connection's record becomes one of a kind that nobody knows, and comes again behind the messages.
+    let (known, at) = (b"op=\x07", bag.windows(4).position(|w| w == b"op=\x07").unwrap());
+    let from = at - 8;
+    let to = bag.windows(4).position(|w| w == b"op=\x02").unwrap() - 8;
+    let mut damaged = bag.clone();
+    damaged[at + known.len() - 1] = 0x77;
+    damaged.extend_from_slice(&bag[from..to]);
+    let recording = opened(&damaged);
+    assert_eq!(recording.topics()[0].num_messages, 3);
+}
+
+/// Times that no stamp holds are the last that it does.
+#[test]
+fn messages_of_impossible_times_are_read() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let mut writer = percept_bags::Writer::create(file.path()).unwrap();
+    let topic = writer.add_channel("/scan", "sensor_msgs/msg/LaserScan", "").unwrap();
+    let never = percept_geometry::Timestamp(i64::MAX);
+    writer.write(topic, never, never, b"late").unwrap();
+    writer.finish().unwrap();
+    assert_eq!(opened(&std::fs::read(file.path()).unwrap()).topics()[0].num_messages, 1);
+}
+
 fn opened(bytes: &[u8]) -> Arc<Recording> {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), bytes).unwrap();
