@@ -5,7 +5,7 @@
 
 use crate::beside::{Executor, Task};
 use crate::live::News;
-use crate::visibility::RangeImage;
+use crate::visibility::Beams;
 use nalgebra::Point3;
 use percept_geometry::{Pose, SensorId, Timestamp};
 use percept_perception::detection::find_passing;
@@ -36,7 +36,7 @@ struct Look {
 struct Found {
     observations: Vec<Observation>,
     t_map_base: Pose,
-    ranges: RangeImage,
+    beams: Beams,
 }
 
 impl Passing {
@@ -67,12 +67,12 @@ impl Passing {
         let (mut was_asked, mut changes) = (false, vec![]);
         let is_due = |look: &mut Look| frame.is_none_or(|now| now >= look.stamp.plus_seconds(DELAY_S));
         while let Some(look) = self.looks.pop_front_if(is_due) {
-            let Found { observations, t_map_base, ranges } = look.task.finished();
+            let Found { observations, t_map_base, beams } = look.task.finished();
             if observations.is_empty() && !tracker.has_passing() {
                 continue;
             }
             was_asked = true;
-            let visibility = |b: &_| ranges.visibility(&t_map_base, b);
+            let visibility = |b: &_| beams.visibility(&t_map_base, b);
             changes.extend(tracker.update_passing(look.stamp, &observations, &visibility));
         }
         (was_asked, changes)
@@ -92,7 +92,7 @@ impl Found {
             is_moving: false,
             is_seen: true,
         });
-        let ranges = RangeImage::new(&news.scan);
-        Self { observations: observations.collect(), t_map_base: news.t_map_base, ranges }
+        let beams = Beams::new(&news.scan);
+        Self { observations: observations.collect(), t_map_base: news.t_map_base, beams }
     }
 }

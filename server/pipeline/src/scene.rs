@@ -10,7 +10,7 @@ use crate::beside::{Executor, Task};
 use crate::learned::LearnedLook;
 use crate::live::News;
 use crate::passing::Passing;
-use crate::visibility::RangeImage;
+use crate::visibility::Beams;
 use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, Preset};
 use nalgebra::{Point3, Translation3, UnitQuaternion};
 use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, SensorId, Timestamp};
@@ -80,7 +80,7 @@ enum Searched {
 struct Found {
     /// In the map as it was when the search was begun.
     observations: Vec<Observation>,
-    ranges: RangeImage,
+    beams: Beams,
 }
 
 impl Scene {
@@ -204,11 +204,14 @@ impl Scene {
                 is_moving: false,
                 is_seen: is_seen(&d.bbox, &seen),
             };
+            // What is still in the cloud while beams go through its place is what has not been taken out of it yet.
+            let beams = Beams::new(&scan);
+            found.retain(|d| !beams.find_empty(&t_map_base, &d.bbox, &around.positions));
             let mut observations = found.iter().map(observation).collect();
             if let Some(learned) = learned {
                 learned.add_to(&mut observations, &t_map_base);
             }
-            Found { observations, ranges: RangeImage::new(&scan) }
+            Found { observations, beams }
         });
         self.begun(keyframe, task, Searched::Around);
     }
@@ -236,7 +239,7 @@ impl Scene {
                 Observation { class, confidence, bbox, num_points, is_moving, is_seen: true }
             };
             let near = found.iter().filter(|d| d.bbox.center().coords.norm() <= range_m);
-            Found { observations: near.map(observation).collect(), ranges: RangeImage::new(&scan) }
+            Found { observations: near.map(observation).collect(), beams: Beams::new(&scan) }
         });
         self.begun(keyframe, task, Searched::Sweep);
     }
@@ -292,7 +295,7 @@ impl Scene {
     }
 
     fn take_in(&mut self, search: &Search, keyframes: &Chunks<KeyframeInfo>) -> Vec<ObjectChange> {
-        let Found { mut observations, ranges } = search.task.finished();
+        let Found { mut observations, beams } = search.task.finished();
         let keyframe = usize::try_from(search.keyframe.0).ok().and_then(|i| keyframes.get(i));
         let t_map_base = keyframe.map_or(search.t_map_base, |k| k.t_map_base);
         if t_map_base != search.t_map_base {
@@ -303,7 +306,7 @@ impl Scene {
         // The detector sees all of the map around the robot: what it does not find there is no thing of its own. In a sweep that goes
         // for what is not hidden.
         let searched_m = search.range_m - SEARCH_EDGE_M;
-        self.tracker.update(search.stamp, &observations, &|b| match ranges.visibility(&t_map_base, b) {
+        self.tracker.update(search.stamp, &observations, &|b| match beams.visibility(&t_map_base, b) {
             Visibility::SeenThrough => Visibility::SeenThrough,
             Visibility::Unseen if search.what == Searched::Sweep => Visibility::Unseen,
             _ if (b.center() - center).norm() < searched_m => Visibility::Refuted,

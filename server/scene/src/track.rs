@@ -207,6 +207,10 @@ impl Track {
         params: &TrackerParams,
         changes: &mut Vec<ObjectChangeKind>,
     ) {
+        if self.state == ObjectState::Gone && !observation.is_seen {
+            // It is what the map still has of it.
+            return;
+        }
         let seen = overlap::upright(&observation.bbox);
         let class_before = self.class().0;
         self.belief.observe(observation.class, observation.confidence, params.class_memory);
@@ -225,9 +229,10 @@ impl Track {
         if observation.is_seen {
             self.last_seen = self.last_seen.max(stamp);
             self.looks += 1;
+            self.seen_through = 0;
         }
         self.observation_count += 1;
-        (self.seen_through, self.refuted, self.swallowed) = (0, 0, 0);
+        (self.refuted, self.swallowed) = (0, 0);
         if !changes.is_empty() && self.id.is_some() {
             self.remember_at(stamp);
         }

@@ -99,7 +99,7 @@ impl Around {
         STEPS.into_iter().filter_map(move |(dx, dy)| {
             let (x, y) = (x + dx, y + dy);
             let is_inside = x >= 0 && y >= 0 && x < self.width as isize && y < self.height as isize;
-            is_inside.then_some(y as usize * self.width + x as usize)
+            is_inside.then(|| y as usize * self.width + x as usize)
         })
     }
 
