@@ -34,10 +34,13 @@ def free_port() -> int:
     """A port that was free a moment ago; for zenoh, which takes none by itself.
 
     Below those that the system gives to clients (32768 on Linux): no connection of a test beside this one
-    takes it meanwhile.
+    takes it meanwhile. Each worker of pytest-xdist has ports of its own, so that no other takes it either.
     """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    ports = range(20000, 32000)[worker::workers]
     while True:
-        port = random.randrange(20000, 32000)
+        port = random.choice(ports)
         with socket.socket() as s, contextlib.suppress(OSError):
             s.bind(("127.0.0.1", port))
             return port
