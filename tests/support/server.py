@@ -118,8 +118,10 @@ class Server:
         return self.log.read_text(errors="replace")[-4000:]
 
 
-def eventually(check, *, seconds: float = 10.0):
-    """The first truthy value of `check`, asked again until time is up: for what travels through zenoh."""
+def eventually(check, *, seconds: float = 30.0):
+    """The first truthy value of `check`, asked again until time is up: for what comes by itself, and later on a
+    machine that does other things.
+    """
     deadline = time.monotonic() + seconds
     while True:
         value = check()
@@ -128,7 +130,7 @@ def eventually(check, *, seconds: float = 10.0):
         time.sleep(0.01)
 
 
-def settled(ask, *, times: int = 40, seconds: float = 10.0):
+def settled(ask, *, times: int = 40, seconds: float = 30.0):
     """What `ask` answers once it has answered alike so many times in a row: for what goes on behind a caller
     that left.
     """
