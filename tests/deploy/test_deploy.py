@@ -122,10 +122,16 @@ def test_compose_watches_the_address_that_percept_tells_at():
             assert (DEPLOY / source).exists() if source.startswith(".") else source in compose["volumes"]
 
 
-def test_packages_hold_a_program_that_runs(tmp_path):
-    out = tmp_path / "out"
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory):
+    """The folder of an archive and a package, which take a while to be pressed."""
+    out = tmp_path_factory.mktemp("packages")
     subprocess.run([DEPLOY / "package", "--binary", binary(), "--out", out], check=True, capture_output=True)
-    (archive,) = out.glob("*.tar.gz")
+    return out
+
+
+def test_packages_hold_a_program_that_runs(packages, tmp_path):
+    (archive,) = packages.glob("*.tar.gz")
     with tarfile.open(archive) as tar:
         tar.extractall(tmp_path / "tar", filter="data")
     (program,) = (tmp_path / "tar").glob("*/bin/percept")
@@ -134,7 +140,7 @@ def test_packages_hold_a_program_that_runs(tmp_path):
     )
     if shutil.which("dpkg-deb") is None:
         pytest.skip("no dpkg-deb")
-    (package,) = out.glob("*.deb")
+    (package,) = packages.glob("*.deb")
     subprocess.run(["dpkg-deb", "--extract", package, tmp_path / "deb"], check=True)
     unit = (tmp_path / "deb/lib/systemd/system/percept.service").read_text()
     assert "ExecStart=/usr/bin/percept serve" in unit
@@ -155,14 +161,13 @@ def test_the_unit_is_one_that_systemd_takes(tmp_path):
     assert (found.returncode, found.stderr) == (0, "")
 
 
-def test_an_upgrade_keeps_the_settings_and_a_purge_leaves_none(tmp_path):
+def test_an_upgrade_keeps_the_settings_and_a_purge_leaves_none(packages, tmp_path):
     if shutil.which("dpkg") is None or os.geteuid() != 0:
         pytest.skip("no dpkg, or not root")
-    out, root = tmp_path / "out", tmp_path / "root"
+    root = tmp_path / "root"
     (root / "var/lib/dpkg").mkdir(parents=True)
     (root / "var/lib/dpkg/status").touch()
-    subprocess.run([DEPLOY / "package", "--binary", binary(), "--out", out], check=True, capture_output=True)
-    (package,) = out.glob("*.deb")
+    (package,) = packages.glob("*.deb")
 
     def dpkg(*arguments):
         # What it depends on is not in this root, nor a shell.

@@ -186,7 +186,7 @@ def test_topics_of_ros_that_are_not_used_are_told_with_the_reason(tmp_path):
                         notes = client.session("robot").info().stream_notes
                         return next((n for n in notes if n.stream == "/scan"), None)
 
-                note = eventually(told, seconds=20)
+                note = eventually(told)
                 assert note, "nothing is said of /scan"
                 assert "laser_link" in note.message
                 ran = doctor(server, "robot")

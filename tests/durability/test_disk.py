@@ -37,7 +37,7 @@ def test_deleting_gives_the_space_back_while_the_server_runs(own_server, client)
         client.session(f"r{k}").delete()
     # What remains is the storage's own log, which goes in its own time.
     least = empty + (full - empty) * 0.35
-    given_back = eventually(lambda: disk_bytes(own_server.data_dir) < least, seconds=15)
+    given_back = eventually(lambda: disk_bytes(own_server.data_dir) < least)
     kib = [size >> 10 for size in (empty, full, disk_bytes(own_server.data_dir))]
     assert given_back, f"{kib[0]} KiB when empty, {kib[1]} before, {kib[2]} after"
 
@@ -158,7 +158,7 @@ def test_a_full_disk_is_refused_told_and_left_behind(small_disk, disk_server):
         assert session.pose() is not None, "queries go on"
         ballast.free()
         last = refused + 100
-        assert eventually(lambda: send(session, last) is None, seconds=10)
+        assert eventually(lambda: send(session, last) is None)
         assert eventually(lambda: (readiness(disk_server)[0], health(disk_server)) == (200, "SERVING"))
     disk_server.kill()
     disk_server.start()
@@ -186,7 +186,7 @@ def test_an_import_that_the_disk_does_not_take_says_so_and_leaves_the_session_em
             with contextlib.suppress(PerceptError):
                 return session.map.summary()
 
-        assert eventually(lambda: summary() is not None, seconds=20)
+        assert eventually(lambda: summary() is not None)
         assert (summary().num_keyframes, summary().num_points) == (0, 0)
 
         def imports():
@@ -194,7 +194,7 @@ def test_an_import_that_the_disk_does_not_take_says_so_and_leaves_the_session_em
             with contextlib.suppress(ResourceExhausted):
                 return session.map.import_map(hall).num_keyframes > 5
 
-        assert eventually(imports, seconds=20)
+        assert eventually(imports)
         imported = session.map.summary().num_keyframes
     disk_server.kill()
     disk_server.start()
@@ -234,7 +234,7 @@ def test_a_frame_that_was_answered_with_storage_full_is_not_stored_later(small_d
         assert all(e and e.reason == "STORAGE_FULL" for e in errors), errors
         ballast.free()
         last = refused + 100
-        assert eventually(lambda: send(session, last) is None, seconds=10)
+        assert eventually(lambda: send(session, last) is None)
         live = session.trajectory().stamps_ns.tolist()
     disk_server.kill()
     disk_server.start()
@@ -296,7 +296,7 @@ def test_sleeping_sessions_on_a_full_disk_say_so_and_hold_nobody_up(small_disk, 
                 client.session(f"s{k}").map.summary()
             assert refused.value.reason in ("STORAGE_FULL", "STORAGE_FAULT"), refused.value
         ballast.free()
-        assert eventually(lambda: len(client.session("s7").trajectory()) == 10, seconds=20)
+        assert eventually(lambda: len(client.session("s7").trajectory()) == 10)
         ballast.fill()
         with pytest.raises(PerceptError):
             client.session("s0").map.summary()
@@ -314,7 +314,7 @@ def test_a_stop_on_a_full_disk_says_that_frames_were_given_up(small_disk, disk_s
         with contextlib.suppress(PerceptError):
             for i in range(5, 40):
                 stream.send_cloud("lidar", stamp_ns=world.stamp(i), points=robots.sweep(i))
-            assert eventually(lambda: stream.summary.rejected > 0, seconds=20)
+            assert eventually(lambda: stream.summary.rejected > 0)
         summary = stream.summary
         accepted, durable = summary.accepted, summary.durable
         assert durable < accepted, "all that was accepted was stored; this shows nothing"

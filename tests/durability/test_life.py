@@ -66,7 +66,7 @@ def deleted(calls, session_id) -> None:
         assert answer.ok or answer.code in ("NOT_FOUND", *RETRYABLE), answer
         return answer.code in ("OK", "NOT_FOUND")
 
-    assert eventually(gone, seconds=20), "deleting does not end"
+    assert eventually(gone), "deleting does not end"
 
 
 def created(calls, session_id) -> None:
@@ -77,7 +77,7 @@ def created(calls, session_id) -> None:
         assert answer.ok or answer.code in RETRYABLE, answer
         return answer.ok
 
-    assert eventually(there, seconds=20), "creating does not come through"
+    assert eventually(there), "creating does not come through"
 
 
 def test_a_delete_that_its_caller_gave_up_never_leaks_the_old_map_into_a_new_session(own_server, client, calls):
@@ -244,7 +244,7 @@ def test_a_wake_that_its_callers_do_not_wait_for_goes_on(own_server, sleeper):
         def answered():
             return calls(POSE, timeout_s=0.02, session_id=sleeper).ok
 
-        assert eventually(answered, seconds=10), "each call begins to wake it anew"
+        assert eventually(answered), "each call begins to wake it anew"
         impatient_s = cpu_s(own_server.process.pid)
     restarted(own_server)
     with raw.Calls(own_server.grpc) as calls:

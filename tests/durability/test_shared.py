@@ -4,9 +4,11 @@ what one of them leaves behind the other answers for.
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
 import uuid
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -81,11 +83,10 @@ def stamps(client: Client, name: str) -> list[int]:
     return client.sessions.get(name).trajectory().stamps_ns.tolist()
 
 
-def test_a_session_in_use_elsewhere_says_where_and_moves_when_it_ends_there(sides):
-    one, two = sides
-    session = robots.mapped(one.client, "robot")
-    # A question each moment keeps it awake.
-    stop = threading.Event()
+@contextlib.contextmanager
+def in_use(client: Client, name: str) -> Iterator[None]:
+    """A question each moment keeps a session awake, so that it stays where it is."""
+    stop, session = threading.Event(), client.sessions.get(name)
 
     def ask():
         while not stop.wait(0.1):
@@ -94,10 +95,17 @@ def test_a_session_in_use_elsewhere_says_where_and_moves_when_it_ends_there(side
     asking = threading.Thread(target=ask)
     asking.start()
     try:
-        told = two.pose("robot")
+        yield
     finally:
         stop.set()
         asking.join()
+
+
+def test_a_session_in_use_elsewhere_says_where_and_moves_when_it_ends_there(sides):
+    one, two = sides
+    session = robots.mapped(one.client, "robot")
+    with in_use(one.client, "robot"):
+        told = two.pose("robot")
     assert (told.code, told.reason) == ("UNAVAILABLE", "SESSION_ELSEWHERE")
     assert "one.example:1" in told.text
     trajectory, keyframes = session.trajectory(), [k.stamp_ns for k in session.keyframes()]
@@ -108,8 +116,9 @@ def test_a_session_in_use_elsewhere_says_where_and_moves_when_it_ends_there(side
     assert [k.stamp_ns for k in moved.keyframes()] == keyframes
     assert np.allclose(moved.trajectory().positions, trajectory.positions, atol=1e-6)
     assert np.array_equal(moved.map.occupancy().cells, grid.cells)
-    assert robots.send_scans(moved, 10, 20) == 10
-    assert one.pose("robot").reason == "SESSION_ELSEWHERE"
+    with in_use(two.client, "robot"):
+        assert robots.send_scans(moved, 10, 20) == 10
+        assert one.pose("robot").reason == "SESSION_ELSEWHERE"
     assert two.names() == ["robot"]
 
 
@@ -158,11 +167,13 @@ def test_a_server_that_was_paused_confirms_nothing_of_what_another_has_taken_ove
     assert robots.send_scans(two.client.sessions.get("robot"), 10, 20) == 10
     # What is sent to the paused one waits for it, and is the first that it does when it wakes up.
     frames = [robots.scan_message("robot", i) for i in range(20, 24)]
-    sent = [one.calls.begin("SensorsService/SendFrame", message=frame) for frame in frames]
-    one.server.process.send_signal(signal.SIGCONT)
-    answers = [raw.answer_of(call) for call in sent]
-    assert all(a.code == "UNAVAILABLE" for a in answers), answers
-    assert eventually(lambda: one.pose("robot").reason == "SESSION_ELSEWHERE")
+    # Once it sleeps at the other, it belongs to whoever is asked next.
+    with in_use(two.client, "robot"):
+        sent = [one.calls.begin("SensorsService/SendFrame", message=frame) for frame in frames]
+        one.server.process.send_signal(signal.SIGCONT)
+        answers = [raw.answer_of(call) for call in sent]
+        assert all(a.code == "UNAVAILABLE" for a in answers), answers
+        assert eventually(lambda: one.pose("robot").reason == "SESSION_ELSEWHERE")
     assert stamps(two.client, "robot") == [world.stamp(i) for i in range(20)]
     assert robots.send_scans(two.client.sessions.get("robot"), 24, 27) == 3
 

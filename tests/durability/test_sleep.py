@@ -43,8 +43,8 @@ def states(sleepy_server):
         yield ask
 
 
-def asleep(states, *names, seconds=20):
-    assert eventually(lambda: {states()[n] for n in names} == {"ASLEEP"}, seconds=seconds), states()
+def asleep(states, *names):
+    assert eventually(lambda: {states()[n] for n in names} == {"ASLEEP"}), states()
 
 
 def test_a_session_sleeps_wakes_and_is_as_it_was(client, states):

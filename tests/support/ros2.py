@@ -176,7 +176,7 @@ class Heard:
             self.messages.append(message)
             self.attachments.append(sample.attachment.to_bytes() if sample.attachment else b"")
 
-    def newest(self, *, seconds: float = 10.0) -> Any:
+    def newest(self, *, seconds: float = 30.0) -> Any:
         assert eventually(lambda: self.messages, seconds=seconds), f"no {self.kind} came"
         return self.messages[-1]
 

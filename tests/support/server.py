@@ -34,10 +34,13 @@ def free_port() -> int:
     """A port that was free a moment ago; for zenoh, which takes none by itself.
 
     Below those that the system gives to clients (32768 on Linux): no connection of a test beside this one
-    takes it meanwhile.
+    takes it meanwhile. Each worker of pytest-xdist has ports of its own, so that no other takes it either.
     """
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    ports = range(20000, 32000)[worker::workers]
     while True:
-        port = random.randrange(20000, 32000)
+        port = random.choice(ports)
         with socket.socket() as s, contextlib.suppress(OSError):
             s.bind(("127.0.0.1", port))
             return port
@@ -115,8 +118,10 @@ class Server:
         return self.log.read_text(errors="replace")[-4000:]
 
 
-def eventually(check, *, seconds: float = 10.0):
-    """The first truthy value of `check`, asked again until time is up: for what travels through zenoh."""
+def eventually(check, *, seconds: float = 30.0):
+    """The first truthy value of `check`, asked again until time is up: for what comes by itself, and later on a
+    machine that does other things.
+    """
     deadline = time.monotonic() + seconds
     while True:
         value = check()
@@ -125,7 +130,7 @@ def eventually(check, *, seconds: float = 10.0):
         time.sleep(0.01)
 
 
-def settled(ask, *, times: int = 40, seconds: float = 10.0):
+def settled(ask, *, times: int = 40, seconds: float = 30.0):
     """What `ask` answers once it has answered alike so many times in a row: for what goes on behind a caller
     that left.
     """
