@@ -230,3 +230,13 @@ def test_a_shell_completes_commands(shell):
         ask = "COMP_WORDS=(percept doc); COMP_CWORD=1; _percept percept doc percept; echo ${COMPREPLY[@]}"
         done = subprocess.run(["bash", "-c", f"{script}\n{ask}"], capture_output=True, text=True, timeout=60)
         assert done.stdout.split() == ["doctor"], done.stderr
+
+
+def test_clouds_that_have_nothing_to_do_with_each_other_are_no_drive(tmp_path):
+    clouds = recorded("cloud-pcl")
+    if clouds is None:
+        pytest.skip("no cloud-pcl in PERCEPT_DATA")
+    for cloud in sorted(clouds.glob("*.pcd")):
+        (tmp_path / cloud.name).write_bytes(cloud.read_bytes())
+    told = percept("replay", tmp_path, code=1).stderr
+    assert "clouds lie on those before them: they are hardly of one drive" in told

@@ -88,3 +88,24 @@ def test_an_empty_session_has_a_graph_without_objects(client):
     session = client.sessions.create(sensors=[world.LIDAR])
     assert list(session.scene.objects()) == []
     assert [n for n in session.scene.graph().nodes if n.kind == "object"] == []
+
+
+def test_what_was_taken_away_is_gone_within_three_seconds_and_does_not_come_back(client):
+    # Rounds of a lidar whose rings are two degrees and a half apart; the crate stands for the first.
+    low, high = world.FURNITURE[world.CRATE]
+    left = [thing for i, thing in enumerate(world.FURNITURE) if i != world.CRATE]
+    session = client.sessions.create(sensors=[world.LIDAR])
+    poses = [pose for _ in range(3) for pose in world.circle()]
+    place = (np.linalg.inv(poses[0].matrix) @ np.append((low + high) / 2, 1))[:2]
+    told = []
+    for i, pose in enumerate(poses):
+        furniture = world.FURNITURE if i < world.ROUND else left
+        # Three frames a second, each a keyframe.
+        session.send_cloud("lidar", stamp_ns=world.stamp(5 * i), points=world.cloud(pose, furniture=furniture))
+        if i >= world.ROUND - 1:
+            near = [o for o in session.scene.objects() if np.linalg.norm(o.box.centre[:2] - place) < 0.5]
+            told.append([o.object_id for o in near if o.state != "gone"])
+    assert told[0], "the crate was never found"
+    assert not any(told[10:]), [len(of) for of in told]
+    others = [o.label for o in session.scene.objects() if o.state != "gone"]
+    assert sorted(others) == ["chair", "shelf", "table"], others

@@ -53,12 +53,16 @@ LIDAR = SensorSpec(
 )
 
 
-def cast(origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+#: What may be taken away.
+CRATE = 2
+
+
+def cast(origin: np.ndarray, directions: np.ndarray, furniture: list = FURNITURE) -> np.ndarray:
     """Distances along (..., 3) directions, in units of their lengths, from inside the room to what is hit."""
     with np.errstate(divide="ignore", invalid="ignore"):
         to_low, to_high = ((bound - origin) / directions for bound in ROOM)
         hit = np.fmax(to_low, to_high).min(-1)
-        for low, high in FURNITURE:
+        for low, high in furniture:
             a, b = (low - origin) / directions, (high - origin) / directions
             near, far = np.fmin(a, b).max(-1), np.fmax(a, b).min(-1)
             hit = np.where((near < far) & (near > 0) & (near < hit), near, hit)
@@ -108,7 +112,7 @@ def scan(t_world_base: Pose, beams: int = 360) -> dict[str, object]:
     }
 
 
-def cloud(t_world_base: Pose, rings: int = 24, columns: int = 720) -> np.ndarray:
+def cloud(t_world_base: Pose, rings: int = 24, columns: int = 720, furniture: list = FURNITURE) -> np.ndarray:
     """(N, 3) float32 of a spinning lidar, sensor frame."""
     t_world_lidar = t_world_base.matrix @ LIDAR.t_base_sensor.matrix
     azimuth, elevation = np.meshgrid(
@@ -116,7 +120,7 @@ def cloud(t_world_base: Pose, rings: int = 24, columns: int = 720) -> np.ndarray
     )
     flat = np.cos(elevation)
     rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
-    hit = cast(t_world_lidar[:3, 3], rays @ t_world_lidar[:3, :3].T)
+    hit = cast(t_world_lidar[:3, 3], rays @ t_world_lidar[:3, :3].T, furniture)
     return (rays * hit[..., None]).reshape(-1, 3).astype(np.float32)
 
 

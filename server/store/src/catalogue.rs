@@ -127,15 +127,21 @@ pub(crate) async fn newest_numbers(objects: &dyn ObjectStore) -> Result<BTreeMap
 
 /// The number that a new session of this id gets; [`StoreError::AlreadyExists`] if there is one.
 pub(crate) async fn free_number(objects: &dyn ObjectStore, id: &str) -> Result<u64, StoreError> {
-    let numbers = numbers(objects, &Path::from_iter([FOLDER, id])).await?;
-    let Some(&number) = numbers.get(id).and_then(|numbers| numbers.last()) else { return Ok(0) };
-    match read(objects, id, number).await?.map(|found| found.content) {
-        Some(Content::Entry(CatalogueEntry::Deleted { .. }) | Content::Purged) => Ok(number + 1),
-        // One that is gone by now was purged a moment ago.
-        None => Ok(0),
-        Some(_) => Err(StoreError::AlreadyExists { id: id.to_owned() }),
+    // An entry that is gone by now was purged a moment ago: what was left in its place is found by looking again.
+    for _ in 0..LOOKS {
+        let numbers = numbers(objects, &Path::from_iter([FOLDER, id])).await?;
+        let Some(&number) = numbers.get(id).and_then(|numbers| numbers.last()) else { return Ok(0) };
+        match read(objects, id, number).await?.map(|found| found.content) {
+            Some(Content::Entry(CatalogueEntry::Deleted { .. }) | Content::Purged) => return Ok(number + 1),
+            Some(_) => break,
+            None => {}
+        }
     }
+    Err(StoreError::AlreadyExists { id: id.to_owned() })
 }
+
+/// Looks at the entries of an id that others create, bury and purge meanwhile.
+const LOOKS: usize = 8;
 
 /// The newest entry of one id, if there is any and it was not purged.
 pub(crate) async fn newest(objects: &dyn ObjectStore, id: &str) -> Result<Option<CatalogueEntry>, StoreError> {
@@ -156,6 +162,12 @@ pub(crate) async fn create(objects: &dyn ObjectStore, place: &SessionPlace, reco
         Err(StoreError::AlreadyExists { .. }) if is_entry_of(objects, place, place.number).await? => Ok(()),
         outcome => outcome,
     }
+}
+
+/// Whether the entry of this place's number says that a session before it was purged: its number is another one then.
+pub(crate) async fn is_past(objects: &dyn ObjectStore, place: &SessionPlace) -> Result<bool, StoreError> {
+    let found = read(objects, &place.id, place.number).await?;
+    Ok(found.is_some_and(|found| matches!(found.content, Content::Purged)))
 }
 
 /// Whether a session is there now: neither buried nor followed by another.

@@ -95,9 +95,16 @@ impl DataRoot {
     /// [`StoreError::Full`], [`StoreError::Io`].
     pub async fn create(&self, id: &str, record: &[u8]) -> Result<SessionPlace, StoreError> {
         let _alone = self.changing.lock().await;
-        let place = self.reserve(id).await?;
-        self.publish(&place, record).await?;
-        Ok(place)
+        let mut place = self.reserve(id).await?;
+        loop {
+            match self.publish(&place, record).await {
+                // Whoever purges the session that was there before says so with the number that was free a moment ago.
+                Err(StoreError::AlreadyExists { .. }) if catalogue::is_past(self.objects.as_ref(), &place).await? => {
+                    place.number = catalogue::free_number(self.objects.as_ref(), id).await?;
+                }
+                published => return published.map(|()| place),
+            }
+        }
     }
 
     /// Says, durably, that a session is gone. What it stored stays until [`DataRoot::purge`]. Saying it twice is no

@@ -174,6 +174,29 @@ async fn creating_listing_and_purging_at_once_do_not_disturb_each_other() {
     }
 }
 
+/// One server purges what it has buried while another creates a session of that id: it is neither refused nor lost.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_session_can_be_created_while_its_predecessor_is_purged_elsewhere() {
+    let directory = tempfile::tempdir().unwrap();
+    let config = RootConfig { shared: true, ..RootConfig::directory(directory.path()) };
+    let [ours, theirs] = [DataRoot::open(config.clone()).await.unwrap(), DataRoot::open(config).await.unwrap()];
+    let theirs = Arc::new(theirs);
+    let mut place = theirs.create("robot", b"first").await.unwrap();
+    for round in 0..200u32 {
+        theirs.bury(&place).await.unwrap();
+        let purge = tokio::spawn({
+            let (theirs, place) = (theirs.clone(), place.clone());
+            async move { theirs.purge(&place).await }
+        });
+        let made = ours.create("robot", b"again").await.unwrap_or_else(|error| panic!("{round}: {error}"));
+        purge.await.unwrap().unwrap();
+        assert_eq!(created(&ours, "robot").await, Some((made.clone(), value("again"))), "{round}");
+        ours.bury(&made).await.unwrap();
+        ours.purge(&made).await.unwrap();
+        place = theirs.create("robot", b"first").await.unwrap();
+    }
+}
+
 #[tokio::test]
 async fn a_damaged_entry_is_listed_as_damaged_and_harms_no_other() {
     let objects = Arc::new(InMemory::new());
