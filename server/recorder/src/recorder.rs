@@ -118,7 +118,7 @@ impl Recorder {
         Ok(Self { shared, max_waiting_bytes, thread: Mutex::new(Some(thread)) })
     }
 
-    /// Gives a frame, and what its sensor is declared as. Never waits for the disk and never fails: what is not written is
+    /// Gives a frame, and what its sensor is declared as, whose id counts. Never waits for the disk and never fails: what is not written is
     /// counted. What is declared otherwise than before is told from this frame on.
     pub fn frame(&self, spec: &Arc<SensorSpec>, frame: Arc<SensorFrame>) {
         self.push(Item::Frame(Arc::clone(spec), frame));
@@ -140,8 +140,9 @@ impl Recorder {
     pub fn finish(&self) -> RecordingState {
         self.shared.lock().is_ending = true;
         self.shared.changed.notify_all();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if thread.is_some_and(|thread| thread.join().is_err()) {
+        // Held until it has ended: whoever else asks waits for the same.
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if thread.take().is_some_and(|thread| thread.join().is_err()) {
             self.shared.lock().stop("the recorder's thread failed".to_owned());
         }
         self.state()
