@@ -190,3 +190,18 @@ fn a_message_that_cannot_be_read_is_an_error_and_the_next_ones_come() {
     assert_eq!(frames, [true, false, true]);
     assert!(dataset.notes.iter().any(|n| n.contains("1 of 3 messages cannot be read")), "{:?}", dataset.notes);
 }
+
+#[test]
+fn a_folder_of_split_files_needs_no_metadata() {
+    let dir = tempfile::tempdir().unwrap();
+    for (file, from) in [("b.mcap", 300), ("a.mcap", 0)] {
+        let mut writer = Writer::create(&dir.path().join(file)).unwrap();
+        let front = writer.add_channel("/front", LaserScan::TYPE_NAME, &LaserScan::definition()).unwrap();
+        for ms in (from..from + 300).step_by(100) {
+            writer.write(front, at(ms), at(ms), &scan(ms, "laser").encode().unwrap()).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+    let dataset = open(dir.path()).unwrap();
+    assert_eq!((dataset.kind, dataset.len()), (DatasetKind::Ros, 6));
+}

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each crate looks only at crates before it.
-const ORDER: [&str; 21] = [
+const ORDER: [&str; 22] = [
     "geometry",
     "sim",
     "evaluation",
@@ -21,6 +21,7 @@ const ORDER: [&str; 21] = [
     "recorded",
     "ros",
     "bags",
+    "recorder",
     "formats",
     "pictures",
     "inference",

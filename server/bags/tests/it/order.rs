@@ -72,3 +72,30 @@ fn an_empty_recording_is_one_and_what_is_none_is_told() {
     assert!(matches!(Recording::open(&path), Err(BagError::Unrecognised { .. })));
     assert!(matches!(Recording::open(&folder.path().join("b.mcap")), Err(BagError::Io { .. })));
 }
+
+#[test]
+fn what_was_flushed_is_in_the_file_and_no_file_is_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    let mut writer = Writer::create_new(&path).unwrap();
+    let channel =
+        writer.add_latched_channel("/tf_static", m::TFMessage::TYPE_NAME, &m::TFMessage::definition()).unwrap();
+    let bytes = m::TFMessage::default().encode().unwrap();
+    for i in 0..3 {
+        writer.write(channel, Timestamp(i), Timestamp(i), &bytes).unwrap();
+        writer.flush().unwrap();
+        let so_far = Recording::open(&path).unwrap();
+        assert_eq!(all(&so_far).len() as i64, i + 1);
+        assert!(matches!(so_far.warnings(), [warning] if warning.what.contains("the file has no end")));
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), writer.num_bytes());
+    }
+    // A flush with nothing to hand over writes nothing.
+    let before = writer.num_bytes();
+    writer.flush().unwrap();
+    assert_eq!(writer.num_bytes(), before);
+    assert_eq!(writer.finish().unwrap(), std::fs::metadata(&path).unwrap().len());
+    let whole = Recording::open(&path).unwrap();
+    assert_eq!((whole.warnings(), all(&whole).len()), (&[][..], 3));
+    let refused = Writer::create_new(&path);
+    assert!(matches!(&refused, Err(BagError::Io { error, .. }) if error.kind() == std::io::ErrorKind::AlreadyExists));
+}

@@ -6,7 +6,7 @@
 //! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
 //! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
 //! - PCD and PLY: a file, or a folder of them, perhaps with `times*.txt` or `groundtruth*.tum`;
-//! - ROS: MCAP, rosbag2 (a `.db3`, or a folder with `metadata.yaml`), bags of ROS 1.
+//! - ROS: MCAP, rosbag2 (a `.db3`), bags of ROS 1, or a folder of what one of them was split into, with `metadata.yaml` or without.
 //!
 //! The base of a recording looks along x: a camera's base is its optical frame turned by
 //! [`SensorSpec::optical_rotation`], a lidar's is the lidar itself.
@@ -204,6 +204,10 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, Fo
     let folder = Folder::list(path)?;
     if let Some(dataset) = open_listed(&folder, options)? {
         return Ok(Some(dataset));
+    }
+    // Last: recordings of other kinds come with bags of the same beside them.
+    if !folder.with_extension(&["mcap", "db3", "bag"]).is_empty() {
+        return ros::open(path, options).map(Some);
     }
     for child in folder.folders() {
         if let Some(dataset) = open_listed(&Folder::list(child)?, options)? {

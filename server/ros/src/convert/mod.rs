@@ -11,6 +11,7 @@ mod image;
 mod motion;
 mod picture;
 mod publish;
+mod publish_sensors;
 mod rvl;
 mod scan;
 mod times;
@@ -21,7 +22,11 @@ pub use compressed::{compressed_color, compressed_depth};
 pub use image::{color, depth};
 pub use motion::{Grid, grid, imu, odometry, pose, transform};
 pub use publish::{
-    cloud_message, color_message, depth_message, grid_message, path_message, pose_message, transform_message,
+    cloud_message, color_message, depth_message, grid_message, path_message, pose_covariance, pose_message,
+    transform_message,
+};
+pub use publish_sensors::{
+    camera_info_message, imu_message, odometry_message, pose_with_covariance_message, scan_message,
 };
 pub use scan::scan;
 pub use times::{PointTimes, TimeUnit};

@@ -6,11 +6,11 @@ use crate::messages::{
     Header, Image, MapMetaData, OccupancyGrid, Path, Point, PointCloud2, PointField, Pose as PoseMessage, PoseStamped,
     Quaternion, Transform, Vector3,
 };
-use percept_geometry::{DepthImage, GridGeometry, PointCloud, Pose, RgbImage, Stamped, se3};
+use percept_geometry::{Covariance6, DepthImage, GridGeometry, PointCloud, Pose, RgbImage, Stamped, se3};
 use std::borrow::Cow;
 
 /// A size as 32 bits have it.
-fn size(message: &'static str, field: &'static str, value: usize) -> Result<u32, ConvertError> {
+pub(super) fn size(message: &'static str, field: &'static str, value: usize) -> Result<u32, ConvertError> {
     let limit = u64::from(u32::MAX);
     u32::try_from(value).map_err(|_| ConvertError::TooLarge { message, field, value: value as u64, limit })
 }
@@ -30,6 +30,17 @@ pub fn pose_message(t_a_b: &Pose) -> PoseMessage {
 pub fn transform_message(t_parent_child: &Pose) -> Transform {
     let t = t_parent_child.translation;
     Transform { translation: Vector3 { x: t.x, y: t.y, z: t.z }, rotation: orientation(t_parent_child) }
+}
+
+/// The covariance of a pose `t_a_b` as ROS has it, row by row: about the axes of frame a. Ours is of a perturbation in frame b.
+pub fn pose_covariance(t_a_b: &Pose, covariance: &Covariance6) -> [f64; 36] {
+    let turn = t_a_b.rotation.to_rotation_matrix();
+    let mut axes = Covariance6::zeros();
+    for block in [0, 3] {
+        axes.fixed_view_mut::<3, 3>(block, block).copy_from(turn.matrix());
+    }
+    let about_a = axes * covariance * axes.transpose();
+    std::array::from_fn(|i| about_a[(i / 6, i % 6)])
 }
 
 /// Poses to go along, in the header's frame.

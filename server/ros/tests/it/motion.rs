@@ -2,9 +2,13 @@
 
 use nalgebra::{Point2, Vector3};
 use percept_geometry::cloud::Beam;
-use percept_geometry::{Distortion, GridGeometry, Pose, Stamped, Timestamp, se3};
+use percept_geometry::sensor::{ImuSample, OdometrySample};
+use percept_geometry::{
+    CameraIntrinsics, Covariance6, Distortion, GridGeometry, LaserScan, Pose, Stamped, Timestamp, se3,
+};
 use percept_ros::convert::{
-    grid, grid_message, imu, intrinsics, odometry, path_message, pose, pose_message, rectified_intrinsics, scan,
+    camera_info_message, grid, grid_message, imu, imu_message, intrinsics, odometry, odometry_message, path_message,
+    pose, pose_covariance, pose_message, pose_with_covariance_message, rectified_intrinsics, scan, scan_message,
     transform, transform_message,
 };
 use percept_ros::messages as m;
@@ -138,4 +142,57 @@ fn grids_go_out_and_come_back() {
     let mut flat = message;
     flat.info.resolution = 0.0;
     assert!(grid(&flat).unwrap_err().to_string().contains("info.resolution"));
+}
+
+#[test]
+fn what_sensors_said_reads_back() {
+    let header = m::Header::new(Timestamp(5), "sensor");
+    let ours = LaserScan {
+        angle_min_rad: -1.5,
+        angle_increment_rad: 0.25,
+        range_min_m: 0.125,
+        range_max_m: 1e300,
+        time_increment_s: 0.0,
+        ranges_m: vec![1.0, f32::INFINITY],
+        intensities: Some(vec![3.0, 4.0]),
+        later_echoes_m: vec![],
+    };
+    let message = scan_message(&ours, header);
+    assert_eq!(message.angle_max, -1.25);
+    let limit = f64::from(f32::MAX);
+    assert_eq!(scan(&message), Ok(LaserScan { range_max_m: limit, ..ours }));
+
+    let base = CameraIntrinsics::pinhole(640, 480, 500.0, 510.0, 320.0, 240.0);
+    let lenses = [
+        Distortion::None,
+        Distortion::PlumbBob([0.1, -0.2, 0.001, 0.002, 0.3]),
+        Distortion::Rational([0.1, -0.2, 0.001, 0.002, 0.3, 0.4, 0.5, 0.6]),
+        Distortion::Fisheye([0.1, -0.2, 0.001, 0.002]),
+    ];
+    for distortion in lenses {
+        let camera = CameraIntrinsics { distortion, ..base };
+        let message = camera_info_message(&camera, header).unwrap();
+        assert_eq!(intrinsics(&message), Ok(camera));
+        assert_eq!(rectified_intrinsics(&message), Ok(base));
+    }
+
+    let sample =
+        ImuSample { angular_velocity: Vector3::new(0.1, 0.2, 0.3), linear_acceleration: Vector3::new(1.0, 2.0, 9.81) };
+    assert_eq!(imu(&imu_message(&sample, header)), Ok(sample));
+    let sample = OdometrySample { t_odom_base: se3::from_xy_yaw(1.0, 2.0, 0.5), covariance: None };
+    let read = odometry(&odometry_message(&sample, header, "base_link")).unwrap();
+    assert!((read.t_odom_base.inverse() * sample.t_odom_base).translation.vector.norm() < 1e-12);
+}
+
+#[test]
+fn a_covariance_is_turned_into_the_axes_of_the_poses_frame() {
+    let mut covariance = Covariance6::zeros();
+    covariance[(0, 0)] = 4.0;
+    covariance[(3, 3)] = 9.0;
+    let t_map_base = se3::from_xy_yaw(1.0, 2.0, std::f64::consts::FRAC_PI_2);
+    let about_map = pose_covariance(&t_map_base, &covariance);
+    let diagonal: [f64; 6] = std::array::from_fn(|i| about_map[i * 7].round());
+    assert_eq!(diagonal, [0.0, 4.0, 0.0, 0.0, 9.0, 0.0]);
+    let message = |c| pose_with_covariance_message(&t_map_base, c, m::Header::default()).pose.covariance;
+    assert_eq!((message(Some(&covariance)), message(None)), (about_map, [0.0; 36]));
 }

@@ -1,0 +1,138 @@
+//! Files: several, cut, still being written.
+
+use crate::sensors::{at, begin, messages, scan, send, spec};
+use percept_bags::{BagError, Recording};
+use percept_formats::dataset::open;
+use percept_geometry::{LaserScan, Pose, SensorData, SensorKind};
+use percept_recorder::{RecordError, Recorder, RecorderSettings};
+use std::time::Duration;
+
+fn small_files() -> RecorderSettings {
+    RecorderSettings { max_file_bytes: 3000, ..RecorderSettings::default() }
+}
+
+#[test]
+fn a_recording_in_several_files_is_one_and_each_file_can_be_read_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorder = begin(folder.path(), small_files());
+    let front = spec("front", SensorKind::Lidar2d);
+    for i in 0..40 {
+        send(&recorder, &front, at(i * 100), SensorData::Scan(scan(i as f32 + 1.0)));
+    }
+    let state = recorder.finish();
+    assert!(state.files.len() > 3, "{state:?}");
+    let lengths: u64 = state.files.iter().map(|f| std::fs::metadata(f).unwrap().len()).sum();
+    assert_eq!((state.num_bytes, state.num_dropped), (lengths, 0));
+    let mut num_frames = 0;
+    for (i, file) in state.files.iter().enumerate() {
+        assert!(file.ends_with(format!("drive_{i:04}.mcap")));
+        let dataset = open(file).unwrap();
+        assert_eq!(dataset.notes, [] as [String; 0]);
+        assert_eq!(dataset.sensors[0].t_base_sensor.translation, front.t_base_sensor.translation);
+        num_frames += dataset.len();
+    }
+    assert_eq!(num_frames, 40);
+    let dataset = open(folder.path()).unwrap();
+    let stamps: Vec<_> = (0..40).map(|i| at(i * 100)).collect();
+    assert_eq!((dataset.stamps(), dataset.notes.len()), (&stamps[..], 0));
+    assert_eq!(messages(folder.path()).len() as u64, state.num_messages);
+}
+
+#[test]
+fn a_recording_that_is_cut_anywhere_is_read_so_far() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorder =
+        begin(folder.path(), RecorderSettings { flush_period: Duration::ZERO, ..RecorderSettings::default() });
+    for i in 0..6 {
+        send(&recorder, &spec("front", SensorKind::Lidar2d), at(i * 100), SensorData::Scan(scan(1.0)));
+        recorder.pose(at(i * 100), Pose::identity(), None);
+    }
+    let state = recorder.finish();
+    let whole = std::fs::read(&state.files[0]).unwrap();
+    let all = messages(&state.files[0]);
+    assert_eq!(all.len(), 19);
+    let cut = folder.path().join("cut.mcap");
+    let mut most = 0;
+    for end in (0..whole.len()).step_by(7) {
+        std::fs::write(&cut, &whole[..end]).unwrap();
+        match Recording::open(&cut) {
+            Ok(_) => {
+                let read = messages(&cut);
+                assert!(
+                    read.iter().map(|m| (&m.0, &m.1.bytes)).eq(all.iter().take(read.len()).map(|m| (&m.0, &m.1.bytes)))
+                );
+                assert!(read.len() >= most, "{} of {most} at {end}", read.len());
+                most = read.len();
+            }
+            Err(BagError::Unrecognised { .. }) => assert!(end < 8),
+            Err(error) => panic!("{end}: {error}"),
+        }
+    }
+    assert_eq!(most, 19);
+}
+
+#[test]
+fn what_was_sent_can_be_read_while_the_recording_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = RecorderSettings { flush_period: Duration::from_millis(1), ..RecorderSettings::default() };
+    let recorder = begin(folder.path(), settings);
+    send(&recorder, &spec("front", SensorKind::Lidar2d), at(0), SensorData::Scan(scan(1.0)));
+    let path = folder.path().join("drive_0000.mcap");
+    // Nothing more is sent: what flushes is the period alone.
+    let is_there = |_: &u32| Recording::open(&path).is_ok_and(|r| r.topics().iter().any(|t| t.name == "/front/scan"));
+    let waited = (0..u32::MAX).inspect(|_| std::thread::yield_now()).find(is_there);
+    assert!(waited.is_some() && open(&path).unwrap().len() == 1);
+    assert_eq!(recorder.state().error, None);
+}
+
+#[test]
+fn a_recorder_that_is_dropped_ends_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorder = begin(folder.path(), RecorderSettings::default());
+    recorder.pose(at(0), Pose::identity(), None);
+    drop(recorder);
+    let recording = Recording::open(folder.path()).unwrap();
+    assert_eq!((recording.warnings(), recording.topics().len()), (&[][..], 2));
+}
+
+#[test]
+fn a_place_that_cannot_be_written_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let begin = |folder: &std::path::Path, name: &str| {
+        Recorder::begin(folder, name, RecorderSettings::default()).map(|r| r.finish()).map_err(|e| (e.to_string(), e))
+    };
+    assert!(begin(&folder.path().join("new/place"), "drive").is_ok());
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let (words, error) = begin(&file, "drive").unwrap_err();
+    assert!(matches!(error, RecordError::Folder { .. }) && words.contains("file: File exists"), "{words}");
+    // Nothing is written over.
+    assert!(begin(folder.path(), "drive").is_ok());
+    let (words, error) = begin(folder.path(), "drive").unwrap_err();
+    assert!(matches!(error, RecordError::File(_)) && words.contains("drive_0000.mcap: File exists"), "{words}");
+    for name in ["", ".hidden", "a/b", "ü", &"a".repeat(101)] {
+        let (words, error) = begin(folder.path(), name).unwrap_err();
+        assert!(matches!(error, RecordError::Name { .. }) && words.contains("is none of a file"), "{words}");
+    }
+}
+
+#[test]
+fn a_next_file_that_cannot_be_begun_ends_the_recording_and_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let in_the_way = folder.path().join("drive_0001.mcap");
+    std::fs::create_dir(&in_the_way).unwrap();
+    let recorder = begin(folder.path(), small_files());
+    let front = spec("front", SensorKind::Lidar2d);
+    let large = LaserScan { ranges_m: (0..2000).map(|i| i as f32).collect(), intensities: None, ..scan(1.0) };
+    for i in 0..5 {
+        send(&recorder, &front, at(i * 100), SensorData::Scan(large.clone()));
+    }
+    let state = recorder.finish();
+    let error = state.error.clone().unwrap();
+    assert!(error.starts_with(&in_the_way.display().to_string()), "{error}");
+    assert_eq!((state.num_dropped, state.files.len()), (4, 1));
+    send(&recorder, &front, at(900), SensorData::Scan(large));
+    assert_eq!(recorder.finish().num_dropped, 5);
+    // The file before was ended.
+    assert_eq!(open(&state.files[0]).unwrap().len(), 1);
+}
