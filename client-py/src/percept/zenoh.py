@@ -1,6 +1,7 @@
 """zenoh: publish sensors, read results. Needs the extra: pip install 'percept[zenoh]'.
 
-Scouting is off: the server's endpoint is named. Keys, as the server has them:
+Scouting is off: the endpoint of the server, or of a router that it is connected to, is named. Keys, behind the server's
+`zenoh.namespace`:
 
     percept/<session>/<sensor>/frame     in: one SensorMessage a sample
     percept/<session>/pose, events       out: PoseEstimate, SessionEvent
@@ -87,9 +88,10 @@ def _path(path: FilePath | None) -> str | None:
     return None if path is None else os.path.abspath(path)
 
 
-def _open(endpoint: str, timeout_s: float, credentials: Credentials | None) -> Any:  # noqa: ANN401
+def _open(endpoint: str, namespace: str, timeout_s: float, credentials: Credentials | None) -> Any:  # noqa: ANN401
     config = zenoh.Config()
     settings: dict[str, object] = {
+        **({"namespace": namespace} if namespace else {}),
         "mode": "peer",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
@@ -117,13 +119,15 @@ class _Peer:
         endpoint: str,
         *,
         session_id: str,
+        namespace: str = "",
         timeout_s: float = 10.0,
         credentials: Credentials | None = None,
     ) -> None:
-        """`endpoint` is tcp/host:port or tls/host:port."""
+        """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected to; `namespace`
+        the server's `zenoh.namespace`."""
         self.session_id = session_id
         self._timeout_s = timeout_s
-        self._zenoh = _open(endpoint, timeout_s, credentials)
+        self._zenoh = _open(endpoint, namespace, timeout_s, credentials)
 
     def _key(self, rest: str) -> str:
         return f"percept/{self.session_id}/{rest}"
@@ -145,11 +149,15 @@ class SensorPublisher(_Peer, FrameSender[None]):
         endpoint: str,
         *,
         session_id: str,
+        namespace: str = "",
         timeout_s: float = 10.0,
         credentials: Credentials | None = None,
     ) -> None:
-        """`endpoint` is tcp/host:port or tls/host:port."""
-        super().__init__(endpoint, session_id=session_id, timeout_s=timeout_s, credentials=credentials)
+        """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected to; `namespace`
+        the server's `zenoh.namespace`."""
+        super().__init__(
+            endpoint, session_id=session_id, namespace=namespace, timeout_s=timeout_s, credentials=credentials
+        )
         self._publishers: dict[str, Any] = {}
         self._sequences: Counter[str] = Counter()
         self._closed = False

@@ -16,7 +16,7 @@ pub(crate) use error::ConfigError;
 use origin::Origins;
 use percept_identity::AuthSettings;
 use percept_pipeline::PipelineParams;
-use percept_service::{Limits, Quotas};
+use percept_service::{Limits, Quotas, RecordingSettings};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -29,6 +29,8 @@ pub(crate) const TEMPLATE: &str = include_str!("../../../deploy/percept.toml");
 pub(crate) struct Config {
     /// Addresses of the doors.
     pub listen: Listen,
+    /// Networks of zenoh that percept joins.
+    pub zenoh: Zenoh,
     /// Robots on ROS 2.
     pub ros2: Ros2,
     /// Who may call, and what they may do.
@@ -37,6 +39,8 @@ pub(crate) struct Config {
     pub tls: Tls,
     /// Where everything durable lives.
     pub storage: Storage,
+    /// What sessions are sent, as files for replay, ROS 2 and Foxglove (MCAP).
+    pub recording: RecordingSettings,
     /// How much of the machine is used.
     pub compute: Compute,
     /// What a request may ask for at most.
@@ -90,6 +94,18 @@ impl Default for Listen {
             drain_s: 20,
         }
     }
+}
+
+/// Networks of zenoh that percept joins, beside what it listens on (`listen.zenoh`). Not with auth.mode "required": who
+/// sends through a router cannot be told.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct Zenoh {
+    /// Routers and peers to connect to, such as "tcp/router.local:7447", whenever they are there. Percept is a router beside
+    /// them then, else a peer; `listen.zenoh` may be closed.
+    pub connect: Vec<String>,
+    /// Put before every key, such as "site-a" for site-a/percept/<session>/...; empty: nothing.
+    pub namespace: String,
 }
 
 /// Encryption of the doors: TLS on gRPC, REST and, for an endpoint tls/, zenoh. Changed files are read again within seconds,

@@ -81,6 +81,8 @@ struct Found {
     /// In the map as it was when the search was begun.
     observations: Vec<Observation>,
     beams: Beams,
+    /// Where the map has something of which nothing is left.
+    empty: Vec<OrientedBox3>,
 }
 
 impl Scene {
@@ -206,12 +208,13 @@ impl Scene {
             };
             // What is still in the cloud while beams go through its place is what has not been taken out of it yet.
             let beams = Beams::new(&scan);
-            found.retain(|d| !beams.find_empty(&t_map_base, &d.bbox, &around.positions));
+            let is_empty = |d: &Detection| beams.find_empty(&t_map_base, &d.bbox, &around.positions);
+            let empty = found.extract_if(.., |d| is_empty(d)).map(|d| d.bbox).collect();
             let mut observations = found.iter().map(observation).collect();
             if let Some(learned) = learned {
                 learned.add_to(&mut observations, &t_map_base);
             }
-            Found { observations, beams }
+            Found { observations, beams, empty }
         });
         self.begun(keyframe, task, Searched::Around);
     }
@@ -239,7 +242,7 @@ impl Scene {
                 Observation { class, confidence, bbox, num_points, is_moving, is_seen: true }
             };
             let near = found.iter().filter(|d| d.bbox.center().coords.norm() <= range_m);
-            Found { observations: near.map(observation).collect(), beams: Beams::new(&scan) }
+            Found { observations: near.map(observation).collect(), beams: Beams::new(&scan), empty: vec![] }
         });
         self.begun(keyframe, task, Searched::Sweep);
     }
@@ -295,18 +298,21 @@ impl Scene {
     }
 
     fn take_in(&mut self, search: &Search, keyframes: &Chunks<KeyframeInfo>) -> Vec<ObjectChange> {
-        let Found { mut observations, beams } = search.task.finished();
+        let Found { mut observations, beams, mut empty } = search.task.finished();
         let keyframe = usize::try_from(search.keyframe.0).ok().and_then(|i| keyframes.get(i));
         let t_map_base = keyframe.map_or(search.t_map_base, |k| k.t_map_base);
         if t_map_base != search.t_map_base {
             let t_new_old = t_map_base * search.t_map_base.inverse();
-            observations.iter_mut().for_each(|o| o.bbox = upright(&o.bbox.transformed(&t_new_old)));
+            let boxes = observations.iter_mut().map(|o| &mut o.bbox).chain(&mut empty);
+            boxes.for_each(|b| *b = upright(&b.transformed(&t_new_old)));
         }
         let center = Point3::from(t_map_base.translation.vector);
         // The detector sees all of the map around the robot: what it does not find there is no thing of its own. In a sweep that goes
         // for what is not hidden.
         let searched_m = search.range_m - SEARCH_EDGE_M;
+        let is_empty = |b: &OrientedBox3| empty.iter().any(|e| e.contains(&b.center()) && b.contains(&e.center()));
         self.tracker.update(search.stamp, &observations, &|b| match beams.visibility(&t_map_base, b) {
+            _ if is_empty(b) => Visibility::SeenThrough,
             Visibility::SeenThrough => Visibility::SeenThrough,
             Visibility::Unseen if search.what == Searched::Sweep => Visibility::Unseen,
             _ if (b.center() - center).norm() < searched_m => Visibility::Refuted,

@@ -64,6 +64,7 @@ pub use session::inspect::read_record;
 pub use session::listing::SessionView;
 pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 pub use session::persist::Durable;
+pub use session::recording::RecordingSettings;
 pub use session::records::Counts;
 pub use session::sensor_book::{NoPose, Refusal, SensorStatus, StreamNote};
 pub use session::shelf::OwnDetectors;
@@ -100,7 +101,8 @@ pub struct Service {
 }
 
 impl Service {
-    /// Opens the service over its data: sessions found there sleep until they are used.
+    /// Opens the service over its data: sessions found there sleep until they are used. Of all sessions go the parameters where
+    /// their creators send none, and which are recorded.
     ///
     /// # Errors
     /// `INTERNAL`, `UNAVAILABLE` if the catalogue cannot be read.
@@ -108,13 +110,13 @@ impl Service {
         data: percept_store::DataRoot,
         compute: ComputePool,
         limits: Limits,
-        defaults: percept_pipeline::PipelineParams,
+        of_sessions: (percept_pipeline::PipelineParams, RecordingSettings),
         detectors: OwnDetectors,
     ) -> Result<Self> {
         ops::server::started();
         let (limits, health) = (Arc::new(limits), Health::starting());
         let registry =
-            session::open::open(data, compute.clone(), Arc::clone(&limits), defaults, detectors, health.clone())
+            session::open::open(data, compute.clone(), Arc::clone(&limits), of_sessions, detectors, health.clone())
                 .await?;
         let kept = toolbox::KeptClouds::open(&limits, Arc::clone(compute.admission()));
         let operations = ops::operations::Operations::open(&limits);

@@ -184,7 +184,17 @@ fn finish(mut report: Report, wall_s: f64, recorded_s: f64, json: bool) -> Resul
     report.frames_per_s = report.frames as f64 / wall_s.max(1e-9);
     report.realtime_factor = (recorded_s > 0.0).then(|| recorded_s / wall_s.max(1e-9));
     report.peak_rss_mb = peak_rss_mb();
-    report.print(json)
+    report.print(json)?;
+    // What a robot sees on its way lies on what it saw before, even if nothing tells how fast it went.
+    if report.kind == "clouds" && !report.timed && report.frames > 1 && 2 * report.tracked < report.frames {
+        return Err(format!(
+            "only {} of {} clouds lie on those before them: they are hardly of one drive. Tell when they were taken by a \
+             times.txt beside them; single clouds are laid over each other by register_clouds_globally",
+            report.tracked, report.frames
+        )
+        .into());
+    }
+    Ok(())
 }
 
 fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {

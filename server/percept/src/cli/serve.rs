@@ -55,6 +55,12 @@ pub(crate) struct ServeArgs {
     /// Endpoint of the zenoh door, e.g. tcp/127.0.0.1:7447; empty closes it.
     #[arg(long)]
     zenoh: Option<String>,
+    /// Router or peer of zenoh to connect to, e.g. tcp/router.local:7447; may be given several times.
+    #[arg(long, value_name = "ENDPOINT")]
+    zenoh_connect: Vec<String>,
+    /// Folder in which all that sessions are sent is recorded, as MCAP.
+    #[arg(long, value_name = "FOLDER")]
+    record: Option<PathBuf>,
     /// A robot on ROS 2 (rmw_zenoh): SESSION=ENDPOINT, where ENDPOINT is its zenoh router, e.g.
     /// robot-7=tcp/10.0.0.7:7447. Again for more; the configuration says more of each.
     #[arg(long, value_name = "SESSION=ENDPOINT", value_parser = robot)]
@@ -81,6 +87,12 @@ impl ServeArgs {
         set(&mut config.listen.grpc, self.grpc);
         set(&mut config.listen.rest, self.rest);
         set(&mut config.listen.zenoh, self.zenoh);
+        if !self.zenoh_connect.is_empty() {
+            config.zenoh.connect = self.zenoh_connect;
+        }
+        if let Some(folder) = self.record {
+            config.recording.dir = folder;
+        }
         config.ros2.robots.extend(self.ros2);
         self.place.lay_over(&mut config.storage);
         if let Some(threads) = self.threads {
@@ -140,7 +152,8 @@ impl Running {
         let limits = &config.limits;
         crate::telemetry::begin(&config.telemetry);
         let detectors = crate::detectors::load(&config.detectors);
-        let service = Service::open(data, compute(config)?, limits.clone(), config.params.clone(), detectors).await?;
+        let of_sessions = (config.params.clone(), config.recording.clone());
+        let service = Service::open(data, compute(config)?, limits.clone(), of_sessions, detectors).await?;
         let service = service.described(about(config));
         let (stop, stopping) = watch::channel(false);
         let bounds = Bounds::new(limits);
@@ -176,8 +189,8 @@ impl Running {
             let api = api.clone();
             doors.spawn(async move { Ok(rest::serve(api, listener).await?) });
         }
-        if !config.listen.zenoh.is_empty() {
-            let door = ZenohDoor::open(&api, &config.listen.zenoh, asked, &config.tls).await?;
+        if !config.listen.zenoh.is_empty() || !config.zenoh.connect.is_empty() {
+            let door = ZenohDoor::open(&api, &config.listen.zenoh, &config.zenoh, asked, &config.tls).await?;
             addresses.zenoh = config.listen.zenoh.clone();
             doors.spawn(door.serve(api.clone()));
         }

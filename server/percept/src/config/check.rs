@@ -1,6 +1,6 @@
 //! What holds for settings beyond their types.
 
-use super::{Config, ConfigError, Listen, Storage, Tls};
+use super::{Config, ConfigError, Listen, Storage, Tls, Zenoh};
 use percept_identity::{AuthMode, AuthSettings};
 use percept_service::{Limits, Quotas};
 use std::net::SocketAddr;
@@ -11,7 +11,8 @@ use std::path::Path;
 /// # Errors
 /// `OutOfBounds`, the first one.
 pub(super) fn all(config: &Config) -> Result<(), ConfigError> {
-    check_listen(&config.listen)?;
+    check_listen(&config.listen, &config.zenoh)?;
+    check_zenoh(&config.zenoh, &config.auth)?;
     let takes_anybody = config.auth.allow_anonymous_beyond_loopback;
     if let Some((field, value, remedy)) = config.ros2.complaint(takes_anybody) {
         return Err(out_of_bounds(&field, value, remedy));
@@ -29,6 +30,9 @@ pub(super) fn all(config: &Config) -> Result<(), ConfigError> {
     if !(1..=64).contains(&config.detectors.threads) {
         return Err(out_of_bounds("detectors.threads", config.detectors.threads, "set it between 1 and 64"));
     }
+    if let Some((field, value, remedy)) = config.recording.complaint() {
+        return Err(out_of_bounds(field, value, remedy));
+    }
     check_limits(&config.limits)?;
     check_quotas(&config.quotas)?;
     if let Err(problem) = crate::telemetry::filter(&config.log.level) {
@@ -39,7 +43,7 @@ pub(super) fn all(config: &Config) -> Result<(), ConfigError> {
     Ok(())
 }
 
-fn check_listen(listen: &Listen) -> Result<(), ConfigError> {
+fn check_listen(listen: &Listen, zenoh: &Zenoh) -> Result<(), ConfigError> {
     let socket = |field: &'static str, value: &str| match value.parse::<SocketAddr>() {
         _ if value.is_empty() => Ok(None),
         Ok(address) => Ok(Some(address)),
@@ -51,14 +55,7 @@ fn check_listen(listen: &Listen) -> Result<(), ConfigError> {
     if grpc.is_some() && grpc == rest && grpc.is_some_and(|a| a.port() != 0) {
         return Err(quoted("listen.rest", &listen.rest, "take another port: listen.grpc has this one"));
     }
-    let has_port = |address: &str| {
-        address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
-    };
-    let endpoint = listen
-        .zenoh
-        .split_once('/')
-        .is_some_and(|(protocol, address)| ["tcp", "udp", "tls"].contains(&protocol) && has_port(address));
-    if !listen.zenoh.is_empty() && !endpoint {
+    if !listen.zenoh.is_empty() && !is_endpoint(&listen.zenoh) {
         let remedy = "write tcp/, udp/ or tls/, address and port, such as \"tcp/127.0.0.1:7447\", or \"\" to close it";
         return Err(quoted("listen.zenoh", &listen.zenoh, remedy));
     }
@@ -73,8 +70,49 @@ fn check_listen(listen: &Listen) -> Result<(), ConfigError> {
             return Err(quoted("listen.allowed_hosts", host, "write a name, or name:port, without a scheme"));
         }
     }
-    if listen.grpc.is_empty() && listen.rest.is_empty() && listen.zenoh.is_empty() {
+    if listen.grpc.is_empty() && listen.rest.is_empty() && listen.zenoh.is_empty() && zenoh.connect.is_empty() {
         return Err(quoted("listen.grpc", "", "open at least one door of grpc, rest and zenoh"));
+    }
+    Ok(())
+}
+
+/// Whether it is an endpoint of zenoh, as percept takes them.
+fn is_endpoint(endpoint: &str) -> bool {
+    let has_port = |address: &str| {
+        address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
+    };
+    let parts = endpoint.split_once('/');
+    parts.is_some_and(|(protocol, address)| ["tcp", "udp", "tls"].contains(&protocol) && has_port(address))
+}
+
+fn check_zenoh(zenoh: &Zenoh, auth: &AuthSettings) -> Result<(), ConfigError> {
+    for endpoint in &zenoh.connect {
+        if !is_endpoint(endpoint) {
+            let remedy = "write tcp/, udp/ or tls/, address and port, such as \"tcp/router.local:7447\"";
+            return Err(quoted("zenoh.connect", endpoint, remedy));
+        }
+    }
+    let chunk = |c: &str| !c.is_empty() && !c.contains(['*', '$', '?', '#', '@']);
+    if !zenoh.namespace.is_empty() && !zenoh.namespace.split('/').all(chunk) {
+        let remedy = "write names with / between them, such as \"site-a\", without *, $, ?, # and @";
+        return Err(quoted("zenoh.namespace", &zenoh.namespace, remedy));
+    }
+    let joins = !zenoh.connect.is_empty() || !zenoh.namespace.is_empty();
+    if joins && auth.mode == AuthMode::Required {
+        let remedy = "but auth.mode is \"required\", and who sends through a router cannot be told: let peers connect to \
+                      listen.zenoh by themselves, without a namespace";
+        let (field, value) = match zenoh.connect.first() {
+            Some(endpoint) => ("zenoh.connect", endpoint),
+            None => ("zenoh.namespace", &zenoh.namespace),
+        };
+        return Err(quoted(field, value, remedy));
+    }
+    if !zenoh.connect.is_empty() && !auth.allow_anonymous_beyond_loopback {
+        if let Some(endpoint) = zenoh.connect.iter().find(|e| !is_loopback(e)) {
+            let remedy = "on which others are, and nobody is asked who they are: let everybody in with \
+                          auth.allow_anonymous_beyond_loopback = true";
+            return Err(quoted("zenoh.connect", endpoint, remedy));
+        }
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ use super::handle::{Session, lock};
 use super::job::Job;
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Persister, Storing};
+use super::recording::Recording;
 use super::refusal::{failed, frame_error, stopped};
 use super::scratch::Scratch;
 use crate::{Asker, ComputePool, Limits, Progress, Result, observe};
@@ -32,6 +33,7 @@ pub(super) struct Actor {
     pub(super) pipeline: Option<Pipeline>,
     pub(super) persister: Persister,
     pub(super) compute: ComputePool,
+    pub(super) recording: Option<Recording>,
 }
 
 /// Why an actor ended.
@@ -70,7 +72,7 @@ pub(super) fn start(
     meta: SessionMeta,
     mut pipeline: Pipeline,
     last_stamps: &BTreeMap<SensorId, Timestamp>,
-    (persister, scratch): (Persister, Arc<Scratch>),
+    (persister, scratch, recording): (Persister, Arc<Scratch>, Option<Recording>),
     compute: ComputePool,
     limits: &Limits,
     events: Arc<EventLog>,
@@ -81,7 +83,7 @@ pub(super) fn start(
     let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
     let kept = (persister.durable(), persister.storing(), scratch);
     let session = Arc::new(Session::over(meta, &pipeline, last_stamps, queue, kept, None, limits, events));
-    let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute };
+    let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute, recording };
     (session, actor.run(commands))
 }
 
@@ -95,6 +97,9 @@ impl Actor {
             ending = self.obey_all(&mut commands) => ending,
         };
         commands.close();
+        if let Some(recording) = self.recording.take() {
+            recording.end().await;
+        }
         if let Ending::Panicked = ending {
             let _ = self.persister.flushed(LAST_PATIENCE).await;
         }
@@ -177,6 +182,9 @@ impl Actor {
                     *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) =
                         Arc::new(pipeline.snapshot());
                 }
+                if let (Some(recording), Some(declared)) = (&mut self.recording, &declared) {
+                    recording.declare(&declared.spec);
+                }
                 self.session.changed(*meta.clone(), declared.map(|d| *d));
                 let ticket = self.persister.submit(Job { meta: Some(meta), ..Job::default() }).await;
                 let _ = done.send(ticket);
@@ -215,14 +223,14 @@ impl Actor {
         let (waited, began, look) = (came.elapsed(), Instant::now(), FrameLook::of(&frame.data));
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let sender = self.sender();
-        let (pipeline, outcome) = self
+        let (pipeline, outcome, frame) = self
             .compute
             .run_for(&sender, move || {
                 let outcome = pipeline.process(&frame).map(|report| {
                     let memory = report.keyframe.as_ref().map(|_| pipeline.memory().total());
                     (report, pipeline.snapshot(), memory)
                 });
-                (pipeline, outcome)
+                (pipeline, outcome, frame)
             })
             .await
             .map_err(|_| failed())?;
@@ -242,6 +250,9 @@ impl Actor {
             }
         };
         observe::frame_accepted(kind, waited, began.elapsed());
+        if let Some(recording) = &mut self.recording {
+            recording.add(frame, report.pose.as_ref());
+        }
         if let Some(bytes) = memory {
             self.session.share.memory(bytes);
         }

@@ -6,6 +6,7 @@ use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::SessionMeta;
 use super::persist::Persister;
+use super::recording::Recording;
 use super::records::{Counts, MetaRecord, SummaryRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
@@ -137,9 +138,10 @@ impl Registry {
         // Before the first frame stores its scan.
         let mark = store.mark();
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
-        let compute = self.compute.clone();
-        let (session, actor) =
-            start(meta, recovered.pipeline, &stamps, (persister, scratch), compute, &self.limits, events);
+        let (compute, specs) = (self.compute.clone(), meta.sensors.iter().map(|s| &s.spec));
+        let recording = Recording::begin(&self.recordings, (&meta.tenant, &meta.id), specs).await;
+        let kept = (persister, scratch, recording);
+        let (session, actor) = start(meta, recovered.pipeline, &stamps, kept, compute, &self.limits, events);
         let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));
         tokio::spawn(async move {
             attended.await;

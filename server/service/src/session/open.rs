@@ -1,5 +1,6 @@
 //! The registry, and all that runs beside it for as long as it lives.
 
+use super::recording::RecordingSettings;
 use super::registry::Registry;
 use super::shelf::OwnDetectors;
 use super::{keeper, sharing};
@@ -16,11 +17,11 @@ pub(crate) async fn open(
     root: DataRoot,
     compute: ComputePool,
     limits: Arc<Limits>,
-    defaults: PipelineParams,
+    of_sessions: (PipelineParams, RecordingSettings),
     detectors: OwnDetectors,
     health: Health,
 ) -> Result<Arc<Registry>> {
-    let (registry, buried) = Registry::of_catalogue(root, compute, limits, defaults, detectors).await?;
+    let (registry, buried) = Registry::of_catalogue(root, compute, limits, of_sessions, detectors).await?;
     registry.load_detectors().await;
     let this = Arc::clone(&registry);
     tokio::spawn(async move {

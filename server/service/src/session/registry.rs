@@ -5,6 +5,7 @@ use super::fault::{Fault, store_error};
 use super::fleet::{FleetLink, FleetLog};
 use super::handle::Session;
 use super::meta::{SessionMeta, SessionMode};
+use super::recording::RecordingSettings;
 use super::records::{Counts, MetaRecord, parse};
 use super::shelf::{OwnDetectors, Shelf};
 use super::slot::{Known, Phase, Slot};
@@ -28,6 +29,7 @@ pub(crate) struct Registry {
     pub(super) compute: ComputePool,
     pub(super) limits: Arc<Limits>,
     pub(super) defaults: PipelineParams,
+    pub(super) recordings: RecordingSettings,
     /// Learned detectors that sessions may use.
     pub(crate) shelf: Arc<Shelf>,
     pub(super) waking: Semaphore,
@@ -56,7 +58,7 @@ impl Registry {
         root: DataRoot,
         compute: ComputePool,
         limits: Arc<Limits>,
-        defaults: PipelineParams,
+        (defaults, recordings): (PipelineParams, RecordingSettings),
         detectors: OwnDetectors,
     ) -> Result<(Arc<Self>, Vec<SessionPlace>)> {
         // Events come far slower than one a microsecond, so that this lies above every token given before.
@@ -66,7 +68,8 @@ impl Registry {
         let sessions = RwLock::default();
         let shelf = Arc::new(Shelf::new(detectors));
         let room = Arc::new(AtomicUsize::new(limits.max_session_memory_mb << 20));
-        let registry = Self { root, compute, limits, defaults, shelf, waking, first_token, room, fleet, sessions };
+        let registry =
+            Self { root, compute, limits, defaults, recordings, shelf, waking, first_token, room, fleet, sessions };
         let mut buried = Vec::new();
         let take_in = |entry| match entry {
             CatalogueEntry::Deleted { place } => buried.push(place),

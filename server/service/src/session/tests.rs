@@ -4,6 +4,7 @@ use super::actor::Ending;
 use super::fault::Trouble;
 use super::job::Job;
 use super::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
+use super::recording::RecordingSettings;
 use super::records::{MetaRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
@@ -28,7 +29,16 @@ fn compute() -> ComputePool {
 async fn registry(config: &RootConfig) -> Arc<Registry> {
     let root = DataRoot::open(config.clone()).await.unwrap();
     let (limits, params) = (Arc::new(Limits::default()), PipelineParams::default());
-    super::open::open(root, compute(), limits, params, OwnDetectors::none(), Health::starting()).await.unwrap()
+    super::open::open(
+        root,
+        compute(),
+        limits,
+        (params, RecordingSettings::default()),
+        OwnDetectors::none(),
+        Health::starting(),
+    )
+    .await
+    .unwrap()
 }
 
 fn meta(id: &str) -> SessionMeta {
@@ -185,7 +195,7 @@ async fn a_session_is_put_to_sleep_when_nobody_uses_it() {
         root,
         compute(),
         Arc::new(limits),
-        PipelineParams::default(),
+        (PipelineParams::default(), RecordingSettings::default()),
         OwnDetectors::none(),
         Health::starting(),
     )

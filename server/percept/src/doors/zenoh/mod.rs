@@ -1,6 +1,6 @@
 //! The zenoh door: sensor messages in, poses and events out, maps and scene by query. Payloads are the contract's.
 //!
-//! Key expressions, `<session>` and `<sensor>` being ids:
+//! Percept listens for peers, and joins networks of zenoh, as the settings say. Key expressions, behind the namespace if there is one, `<session>` and `<sensor>` being ids:
 //! - in: `percept/<session>/<sensor>/frame`, a `SensorMessage` whose ids, if set, agree with the key;
 //! - out: `percept/<session>/pose` (`PoseEstimate`), `percept/<session>/events` (`SessionEvent`);
 //! - queryable: `percept/<session>/map/occupancy` (`OccupancyGridChunk`, whole), `.../map/cloud` (`CloudChunk`,
@@ -19,7 +19,7 @@ mod query;
 use super::bounds::{Charge, Memory, Peer};
 use super::grpc::{Api, ingest};
 use super::listener::tls::{self, Stamps};
-use crate::config::Tls;
+use crate::config::{Tls, Zenoh};
 use access::Policy;
 use percept_identity::AuthSettings;
 use percept_service::reason;
@@ -41,19 +41,25 @@ const COUNTS_EVERY: Duration = Duration::from_secs(5);
 
 pub(super) type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-fn config(endpoint: &str, max_message_bytes: usize, policy: &Policy, tls: &Tls) -> Result<zenoh::Config, Failure> {
+fn config(setup: &Setup, policy: &Policy) -> Result<zenoh::Config, Failure> {
+    let Setup { endpoint, network, max_message_bytes, tls, .. } = setup;
     let mut config = zenoh::Config::default();
-    let endpoints = serde_json::to_string(&[endpoint])?;
+    let listen: &[&str] = if endpoint.is_empty() { &[] } else { &[endpoint] };
     for (key, value) in [
-        ("mode", "\"peer\""),
-        ("scouting/multicast/enabled", "false"),
-        ("scouting/gossip/enabled", "false"),
-        ("listen/endpoints", endpoints.as_str()),
-        ("transport/shared_memory/enabled", "true"),
+        // Beside routers it is one: what is connected to them alone reaches it, and it may be there before they are.
+        ("mode", if network.connect.is_empty() { "\"peer\"" } else { "\"router\"" }.to_owned()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        ("listen/endpoints", serde_json::to_string(listen)?),
+        ("connect/endpoints", serde_json::to_string(&network.connect)?),
+        ("transport/shared_memory/enabled", "true".to_owned()),
         // The default of 1 GiB would let one peer take all memory.
-        ("transport/link/rx/max_message_size", &max_message_bytes.saturating_mul(2).to_string()),
+        ("transport/link/rx/max_message_size", max_message_bytes.saturating_mul(2).to_string()),
     ] {
-        config.insert_json5(key, value)?;
+        config.insert_json5(key, &value)?;
+    }
+    if !network.namespace.is_empty() {
+        config.insert_json5("namespace", &serde_json::to_string(&network.namespace)?)?;
     }
     for (key, value) in policy.settings() {
         config.insert_json5(key, &value)?;
@@ -85,7 +91,9 @@ pub(crate) struct ZenohDoor {
 
 /// What a session is opened with.
 struct Setup {
+    /// What it listens on; nothing if empty.
     endpoint: String,
+    network: Zenoh,
     max_message_bytes: usize,
     tls: Tls,
     users_file: PathBuf,
@@ -94,8 +102,7 @@ struct Setup {
 impl Setup {
     async fn open(&self, policy: &Policy) -> Result<(zenoh::Session, Stamps), Failure> {
         let stamps = self.stamps();
-        let config = config(&self.endpoint, self.max_message_bytes, policy, &self.tls)?;
-        Ok((zenoh::open(config).await?, stamps))
+        Ok((zenoh::open(config(self, policy)?).await?, stamps))
     }
 
     /// Zenoh reads certificates and users when it is opened, and only then.
@@ -163,10 +170,11 @@ pub(crate) fn check(auth: &AuthSettings, endpoint: &str, tls: &Tls) -> Result<()
 }
 
 impl ZenohDoor {
-    /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`.
+    /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`, and is of a network; without an endpoint, of the network alone.
     pub(crate) async fn open(
         api: &Api,
         endpoint: &str,
+        network: &Zenoh,
         mut auth: watch::Receiver<AuthSettings>,
         tls: &Tls,
     ) -> Result<Self, Failure> {
@@ -174,6 +182,7 @@ impl ZenohDoor {
         let policy = Arc::new(Policy::of(&settings, endpoint, tls)?);
         let setup = Setup {
             endpoint: endpoint.to_owned(),
+            network: network.clone(),
             max_message_bytes: api.service.limits().max_message_bytes,
             tls: tls.clone(),
             users_file: settings.zenoh_users_file.clone().into(),
