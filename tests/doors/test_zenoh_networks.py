@@ -1,4 +1,4 @@
-"""Percept in a network of zenoh: beside a router that robots connect to, with a namespace, before the router is there."""
+"""Percept in a network of zenoh: beside a router that robots connect to, and before it is there; namespaces."""
 
 from __future__ import annotations
 

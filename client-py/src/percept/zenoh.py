@@ -1,7 +1,7 @@
 """zenoh: publish sensors, read results. Needs the extra: pip install 'percept[zenoh]'.
 
-Scouting is off: the endpoint of the server, or of a router that it is connected to, is named. Keys, behind the server's
-`zenoh.namespace`:
+Scouting is off: the endpoint of the server, or of a router that it is connected to, is named. Keys,
+behind the server's `zenoh.namespace`:
 
     percept/<session>/<sensor>/frame     in: one SensorMessage a sample
     percept/<session>/pose, events       out: PoseEstimate, SessionEvent
@@ -123,8 +123,8 @@ class _Peer:
         timeout_s: float = 10.0,
         credentials: Credentials | None = None,
     ) -> None:
-        """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected to; `namespace`
-        the server's `zenoh.namespace`."""
+        """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected
+        to; `namespace` the server's `zenoh.namespace`."""
         self.session_id = session_id
         self._timeout_s = timeout_s
         self._zenoh = _open(endpoint, namespace, timeout_s, credentials)
@@ -153,8 +153,8 @@ class SensorPublisher(_Peer, FrameSender[None]):
         timeout_s: float = 10.0,
         credentials: Credentials | None = None,
     ) -> None:
-        """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected to; `namespace`
-        the server's `zenoh.namespace`."""
+        """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected
+        to; `namespace` the server's `zenoh.namespace`."""
         super().__init__(
             endpoint, session_id=session_id, namespace=namespace, timeout_s=timeout_s, credentials=credentials
         )

@@ -8,10 +8,10 @@ use super::link::{Entities, Found, Manner, Node, Topic};
 use super::motion::Motion;
 use super::robot::lock;
 use super::settings::Robot;
-use percept_geometry::{Covariance6, Pose, Stamped, Timestamp, se3};
+use percept_geometry::{Pose, Stamped, Timestamp, se3};
 use percept_pipeline::PoseEstimate;
 use percept_ros::Message;
-use percept_ros::convert::{self, pose_message, transform_message};
+use percept_ros::convert::{self, pose_covariance, pose_message, transform_message};
 use percept_ros::messages::{
     BoundingBox3D, ColorRGBA, Detection3D, Detection3DArray, Header, Marker, MarkerArray, ObjectHypothesis,
     ObjectHypothesisWithPose, OccupancyGrid, Path, PointCloud2, PoseWithCovariance, PoseWithCovarianceStamped,
@@ -203,7 +203,7 @@ impl<'a> Results<'a> {
             self.t_map_odom =
                 t_odom_base.map(|t_odom_base| pose.t_map_base * t_odom_base.inverse()).or(self.t_map_odom);
             let header = Header::new(pose.stamp, &self.robot.map_frame);
-            let covariance = in_map(&pose.t_map_base, &pose.covariance);
+            let covariance = pose_covariance(&pose.t_map_base, &pose.covariance);
             let with = PoseWithCovariance { pose: pose_message(&pose.t_map_base), covariance };
             topics.pose.send(&PoseWithCovarianceStamped { header, pose: with }, now_ns()).await?;
             if t_odom_base.is_none() {
@@ -460,17 +460,6 @@ fn detection<'m>(object: &'m Object, id: &'m str, header: Header<'m>) -> Detecti
     }
 }
 
-/// A covariance about the map's axes, row by row, as ROS has it: ours is of a perturbation in the robot's frame.
-fn in_map(t_map_base: &Pose, covariance: &Covariance6) -> [f64; 36] {
-    let turn = t_map_base.rotation.to_rotation_matrix();
-    let mut axes = Covariance6::zeros();
-    for block in [0, 3] {
-        axes.fixed_view_mut::<3, 3>(block, block).copy_from(turn.matrix());
-    }
-    let about_map = axes * covariance * axes.transpose();
-    std::array::from_fn(|i| about_map[(i / 6, i % 6)])
-}
-
 /// ns since the Unix epoch, by this machine's clock.
 fn now_ns() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX))
@@ -484,16 +473,5 @@ mod tests {
     fn what_a_costmap_takes_for_free_is_free() {
         let cells = [-1, 0, 40, 59, 60, 100].map(|c| trinary(c, 0.6));
         assert_eq!(cells, [-1, 0, 0, 0, 100, 100]);
-    }
-
-    #[test]
-    fn a_covariance_is_turned_into_the_maps_axes() {
-        let mut covariance = Covariance6::zeros();
-        covariance[(0, 0)] = 4.0;
-        covariance[(3, 3)] = 9.0;
-        // Facing along y: what is ahead is the map's y.
-        let about_map = in_map(&se3::from_xy_yaw(1.0, 2.0, std::f64::consts::FRAC_PI_2), &covariance);
-        let at = |row: usize, column: usize| (about_map[row * 6 + column] * 1e9).round() / 1e9;
-        assert_eq!((at(0, 0), at(1, 1), at(3, 3), at(4, 4)), (0.0, 4.0, 0.0, 9.0));
     }
 }
