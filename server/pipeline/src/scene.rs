@@ -208,7 +208,7 @@ impl Scene {
             };
             // What is still in the cloud while beams go through its place is what has not been taken out of it yet.
             let beams = Beams::new(&scan);
-            let is_empty = |d: &Detection| beams.find_empty(&t_map_base, &d.bbox, &around.positions);
+            let is_empty = |d: &Detection| beams.finds_empty(&t_map_base, &d.bbox, &around.positions);
             let empty = found.extract_if(.., |d| is_empty(d)).map(|d| d.bbox).collect();
             let mut observations = found.iter().map(observation).collect();
             if let Some(learned) = learned {

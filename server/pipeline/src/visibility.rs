@@ -58,11 +58,14 @@ impl Beams {
 
     /// Whether a robot at `t_map_base` saw that nothing is left of what the map has in a box: beams go by its points and end well behind,
     /// and next to none ends at one. Under the top of a table they pass, too, but by few of its points.
-    pub(crate) fn find_empty(&self, t_map_base: &Pose, bbox: &OrientedBox3, points: &[Point3<f32>]) -> bool {
+    pub(crate) fn finds_empty(&self, t_map_base: &Pose, bbox: &OrientedBox3, points: &[Point3<f32>]) -> bool {
         // The floor is there whatever stands on it.
         let is_above = |p: &Point3<f64>| above_bottom(bbox.t_frame_box.inverse_transform_point(p).z, bbox.size.z);
         let is_of_it = |p: &&Point3<f32>| bbox.contains(&p.cast()) && is_above(&p.cast());
-        let inside: Vec<&Point3<f32>> = points.iter().filter(is_of_it).collect();
+        // Few are near: only these are turned into the box's frame.
+        let (center, reach) = (bbox.center().cast::<f32>(), 0.5 * bbox.size.norm() as f32);
+        let near = points.iter().filter(|p| nalgebra::distance_squared(p, &center) <= reach * reach);
+        let inside: Vec<&Point3<f32>> = near.filter(is_of_it).collect();
         let t_sensor_map = (t_map_base * self.t_base_sensor).inverse();
         let step = inside.len().div_ceil(MOST_POINTS).max(1);
         let (mut num, mut through, mut hits) = (0, 0, 0);
@@ -333,12 +336,12 @@ mod tests {
             let known = |height: f64| scan(height, 200, &table(x)).hits.transformed(&Pose::identity()).positions;
             let known = [known(1.2), known(0.4)].concat();
             for (height, rings) in [(1.2, 24), (1.2, 64), (0.5, 24), (0.5, 64), (0.3, 24)] {
-                let find_empty = |blocks: &[Block]| {
+                let finds_empty = |blocks: &[Block]| {
                     let beams = Beams::new(&scan(height, rings, blocks));
-                    beams.find_empty(&Pose::identity(), &place, &known)
+                    beams.finds_empty(&Pose::identity(), &place, &known)
                 };
-                assert!(!find_empty(&table(x)), "{x} {height} {rings}");
-                assert!(find_empty(&[]), "{x} {height} {rings}");
+                assert!(!finds_empty(&table(x)), "{x} {height} {rings}");
+                assert!(finds_empty(&[]), "{x} {height} {rings}");
                 assert_eq!(seen(height, rings, &[], &place), Visibility::SeenThrough, "{x} {height} {rings}");
             }
             assert_ne!(seen(1.2, 64, &table(x), &place), Visibility::SeenThrough, "{x}");
@@ -350,12 +353,12 @@ mod tests {
         for (height, rings) in [(1.2, 24), (1.2, 64), (0.5, 24), (0.5, 64)] {
             for block in [CRATE, CABINET] {
                 let known = scan(1.0, 200, &[block]).hits.positions;
-                let find_empty = |blocks: &[Block]| {
-                    Beams::new(&scan(height, rings, blocks)).find_empty(&Pose::identity(), &around(&block), &known)
+                let finds_empty = |blocks: &[Block]| {
+                    Beams::new(&scan(height, rings, blocks)).finds_empty(&Pose::identity(), &around(&block), &known)
                 };
-                assert!(find_empty(&[]) && !find_empty(&[block]), "{height} {rings} {block:?}");
+                assert!(finds_empty(&[]) && !finds_empty(&[block]), "{height} {rings} {block:?}");
                 // Nor where something stands before it.
-                assert!(!find_empty(&[([0.6, -2.0, 0.0], [0.7, 2.0, 2.0])]), "{height} {rings} {block:?}");
+                assert!(!finds_empty(&[([0.6, -2.0, 0.0], [0.7, 2.0, 2.0])]), "{height} {rings} {block:?}");
             }
         }
     }

@@ -60,7 +60,7 @@ pub(crate) struct ServeArgs {
     zenoh_connect: Vec<String>,
     /// Folder in which all that sessions are sent is recorded, as MCAP.
     #[arg(long, value_name = "FOLDER")]
-    record: Option<PathBuf>,
+    record: Option<String>,
     /// A robot on ROS 2 (rmw_zenoh): SESSION=ENDPOINT, where ENDPOINT is its zenoh router, e.g.
     /// robot-7=tcp/10.0.0.7:7447. Again for more; the configuration says more of each.
     #[arg(long, value_name = "SESSION=ENDPOINT", value_parser = robot)]
@@ -90,9 +90,7 @@ impl ServeArgs {
         if !self.zenoh_connect.is_empty() {
             config.zenoh.connect = self.zenoh_connect;
         }
-        if let Some(folder) = self.record {
-            config.recording.dir = folder;
-        }
+        set(&mut config.recording.dir, self.record);
         config.ros2.robots.extend(self.ros2);
         self.place.lay_over(&mut config.storage);
         if let Some(threads) = self.threads {

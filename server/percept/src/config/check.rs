@@ -107,12 +107,11 @@ fn check_zenoh(zenoh: &Zenoh, auth: &AuthSettings) -> Result<(), ConfigError> {
         };
         return Err(quoted(field, value, remedy));
     }
-    if !zenoh.connect.is_empty() && !auth.allow_anonymous_beyond_loopback {
-        if let Some(endpoint) = zenoh.connect.iter().find(|e| !is_loopback(e)) {
-            let remedy = "on which others are, and nobody is asked who they are: let everybody in with \
-                          auth.allow_anonymous_beyond_loopback = true";
-            return Err(quoted("zenoh.connect", endpoint, remedy));
-        }
+    let beyond = zenoh.connect.iter().find(|e| !is_loopback(e));
+    if let Some(endpoint) = beyond.filter(|_| !auth.allow_anonymous_beyond_loopback) {
+        let remedy = "on which others are, and nobody is asked who they are: let everybody in with \
+                      auth.allow_anonymous_beyond_loopback = true";
+        return Err(quoted("zenoh.connect", endpoint, remedy));
     }
     Ok(())
 }

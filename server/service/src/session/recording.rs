@@ -7,7 +7,7 @@ use percept_recorder::{Recorder, RecorderSettings, RecordingState};
 use percept_slam::{Scale, TrackingState};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Which sessions are recorded, and where.
@@ -16,9 +16,9 @@ use std::sync::Arc;
 pub struct RecordingSettings {
     /// Folder of recordings; empty: nothing is recorded. A session that wakes begins one in
     /// TENANT/SESSION/MILLISECONDS-SINCE-1970 there, which ends when it sleeps.
-    pub dir: PathBuf,
+    pub dir: String,
     /// Ids of the sessions that are recorded, * for any characters.
-    pub sessions: Pattern,
+    pub sessions: String,
     /// Size from which on a recording goes on in a next file, MB; 1 to 1048576.
     pub max_file_mb: u64,
     /// What may wait to be written of a session, MB; frames beyond it are not recorded, and counted. 1 to 65536.
@@ -27,22 +27,23 @@ pub struct RecordingSettings {
 
 impl Default for RecordingSettings {
     fn default() -> Self {
-        Self { dir: PathBuf::new(), sessions: Pattern::all(), max_file_mb: 1024, max_waiting_mb: 64 }
+        Self { dir: String::new(), sessions: "*".to_owned(), max_file_mb: 1024, max_waiting_mb: 64 }
     }
 }
 
 impl RecordingSettings {
     /// The first field that cannot be: its name, value, and the remedy.
-    pub fn complaint(&self) -> Option<(&'static str, u64, &'static str)> {
-        if !(1..=1 << 20).contains(&self.max_file_mb) {
-            return Some(("recording.max_file_mb", self.max_file_mb, "set it between 1 and 1048576"));
+    pub fn complaint(&self) -> Option<(&'static str, String, &'static str)> {
+        let Self { sessions, max_file_mb, max_waiting_mb, .. } = self;
+        if Pattern::new(sessions).is_err() {
+            let remedy = "write 1 to 64 characters of a-z A-Z 0-9 _ - and * for any others";
+            return Some(("recording.sessions", format!("{sessions:?}"), remedy));
         }
-        let waiting = self.max_waiting_mb as u64;
-        (!(1..=1 << 16).contains(&waiting)).then_some((
-            "recording.max_waiting_mb",
-            waiting,
-            "set it between 1 and 65536",
-        ))
+        if !(1..=1 << 20).contains(max_file_mb) {
+            return Some(("recording.max_file_mb", max_file_mb.to_string(), "set it between 1 and 1048576"));
+        }
+        let fits = (1..=1 << 16).contains(max_waiting_mb);
+        (!fits).then(|| ("recording.max_waiting_mb", max_waiting_mb.to_string(), "set it between 1 and 65536"))
     }
 }
 
@@ -67,11 +68,11 @@ impl Recording {
         (tenant, session): (&str, &str),
         sensors: impl Iterator<Item = &'a SensorSpec>,
     ) -> Option<Self> {
-        if settings.dir.as_os_str().is_empty() || !settings.sessions.matches(session) {
+        if settings.dir.is_empty() || !Pattern::new(&settings.sessions).is_ok_and(|p| p.matches(session)) {
             return None;
         }
         let since_1970 = crate::clock::now_ns() / 1_000_000;
-        let folder = settings.dir.join(tenant).join(session).join(since_1970.to_string());
+        let folder = Path::new(&settings.dir).join(tenant).join(session).join(since_1970.to_string());
         let settings = RecorderSettings {
             max_file_bytes: settings.max_file_mb << 20,
             max_waiting_bytes: settings.max_waiting_mb << 20,
