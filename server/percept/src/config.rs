@@ -104,7 +104,7 @@ pub(crate) struct Zenoh {
     /// Routers and peers to connect to, such as "tcp/router.local:7447", whenever they are there. Percept is a router beside
     /// them then, else a peer; `listen.zenoh` may be closed.
     pub connect: Vec<String>,
-    /// Put before every key, such as "site-a" for site-a/percept/<session>/...; empty: nothing.
+    /// Put before every key, such as "site-a" for keys site-a/percept/...; empty: nothing.
     pub namespace: String,
 }
 
