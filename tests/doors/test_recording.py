@@ -98,7 +98,9 @@ def test_sleep_ends_a_recording_and_waking_begins_another(start, tmp_path):
     for recording in sorted((folder / "default" / session.session_id).iterdir()):
         with AnyReader(sorted(recording.glob("*.mcap"))) as reader:
             counts.append(sum(c.msgcount for c in reader.connections if c.topic == "/laser/scan"))
-    assert counts == [4, 4]
+    # It may have slept between two frames, too.
+    assert sum(counts) == 8
+    assert len(counts) >= 2
 
 
 def test_a_killed_server_leaves_what_it_recorded_and_a_bad_folder_harms_no_session(start, tmp_path):
@@ -124,5 +126,6 @@ def test_a_killed_server_leaves_what_it_recorded_and_a_bad_folder_harms_no_sessi
     other = client.sessions.create(sensors=[world.LASER])
     other.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
     assert other.info().pose is not None
-    assert "a session is not recorded" in server.tail()
+    assert server.stop() == 0
+    assert "a session is not recorded any more" in server.tail()
     assert os.fspath(nowhere) in server.tail()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 
 import pytest
+import zenoh
 from percept import Client
 from percept.zenoh import MapReader, SensorPublisher
 
@@ -20,8 +22,9 @@ def router():
 
 
 @pytest.fixture
-def start(tmp_path):
-    """Starts a server with further arguments, and a client of it."""
+def start(tmp_path, monkeypatch):
+    """Starts a server with further arguments, and a client of it. Whoever reaches the router is let in."""
+    monkeypatch.setenv("PERCEPT_AUTH_ALLOW_ANONYMOUS_BEYOND_LOOPBACK", "true")
     servers = []
 
     def started(*arguments: str, zenoh: str | None = None) -> tuple[Server, Client]:
@@ -31,6 +34,14 @@ def start(tmp_path):
     yield started
     for server in servers:
         server.kill()
+
+
+def joined(router: Router) -> zenoh.Session:
+    """A peer of a router."""
+    config = zenoh.Config()
+    for key, value in {"connect/endpoints": [router.endpoint], "scouting/multicast/enabled": False}.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
 
 
 def drive(publisher: SensorPublisher, first: int, last: int) -> None:
@@ -90,13 +101,34 @@ def test_sites_of_one_router_are_apart_by_their_namespaces(start, router, tmp_pa
             assert reader.pose() == session.info().pose
 
 
+def test_percept_is_no_bridge_between_the_networks_that_it_joins(start, router):
+    with Router() as other:
+        _, client = start("--zenoh-connect", router.endpoint, "--zenoh-connect", other.endpoint, zenoh="")
+        session = client.sessions.create(sensors=[world.LASER])
+        here, there = joined(router), joined(other)
+        heard: list[str] = []
+        here.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+        # It is connected to both.
+        for endpoint in (router.endpoint, other.endpoint):
+            with MapReader(endpoint, session_id=session.session_id) as reader:
+                assert eventually(lambda reader=reader: reader.sensors())
+        there.put("0/cmd_vel/geometry_msgs::msg::dds_::Twist_", b"drive")
+        with SensorPublisher(other.endpoint, session_id=session.session_id) as publisher:
+            drive(publisher, 0, 3)
+        # What percept says comes after what it was to pass on.
+        assert eventually(lambda: any(key.endswith("/pose") for key in heard))
+        assert all(key.startswith("percept/") for key in heard), heard
+        here.close()
+        there.close()
+
+
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
         ('[zenoh]\nconnect = ["router:7447"]\n', 'zenoh.connect is "router:7447"; write tcp/'),
         ('[zenoh]\nnamespace = "a//b"\n', 'zenoh.namespace is "a//b"; write names'),
         ('[zenoh]\nnamespace = "a*"\n', 'zenoh.namespace is "a*"; write names'),
-        ('[zenoh]\nconnect = ["tcp/10.0.0.7:7447"]\n', "auth.allow_anonymous_beyond_loopback = true"),
+        ('[zenoh]\nconnect = ["tcp/127.0.0.1:7447"]\n', "auth.allow_anonymous_beyond_loopback = true"),
         (
             '[zenoh]\nconnect = ["tcp/127.0.0.1:7447"]\n[auth]\nmode = "required"\nkeys_file = "keys.json"\n',
             "who sends through a router cannot be told",

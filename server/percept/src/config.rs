@@ -39,7 +39,7 @@ pub(crate) struct Config {
     pub tls: Tls,
     /// Where everything durable lives.
     pub storage: Storage,
-    /// What sessions are sent, as files for replay, ROS 2 and Foxglove (MCAP).
+    /// What sessions take, as files for replay, ROS 2 and Foxglove (MCAP).
     pub recording: RecordingSettings,
     /// How much of the machine is used.
     pub compute: Compute,
@@ -97,12 +97,13 @@ impl Default for Listen {
 }
 
 /// Networks of zenoh that percept joins, beside what it listens on (`listen.zenoh`). Not with auth.mode "required": who
-/// sends through a router cannot be told.
+/// sends through a router cannot be told. Nothing but percept's own keys passes from one side to another.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Zenoh {
     /// Routers and peers to connect to, such as "tcp/router.local:7447", whenever they are there. Percept is a router beside
-    /// them then, else a peer; `listen.zenoh` may be closed.
+    /// them then, else a peer; `listen.zenoh` may be closed. Wants `auth.allow_anonymous_beyond_loopback`: whoever reaches
+    /// the router reaches every session.
     pub connect: Vec<String>,
     /// Put before every key, such as "site-a" for keys site-a/percept/...; empty: nothing.
     pub namespace: String,

@@ -310,7 +310,9 @@ impl Scene {
         // The detector sees all of the map around the robot: what it does not find there is no thing of its own. In a sweep that goes
         // for what is not hidden.
         let searched_m = search.range_m - SEARCH_EDGE_M;
-        let is_empty = |b: &OrientedBox3| empty.iter().any(|e| e.contains(&b.center()) && b.contains(&e.center()));
+        // Most of it, not a piece in its middle.
+        let is_of = |e: &OrientedBox3, b: &OrientedBox3| 2.0 * e.volume() > b.volume() && e.contains(&b.center());
+        let is_empty = |b: &OrientedBox3| empty.iter().any(|e| is_of(e, b) && b.contains(&e.center()));
         self.tracker.update(search.stamp, &observations, &|b| match beams.visibility(&t_map_base, b) {
             _ if is_empty(b) => Visibility::SeenThrough,
             Visibility::SeenThrough => Visibility::SeenThrough,

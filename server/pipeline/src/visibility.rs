@@ -153,6 +153,9 @@ struct Looked {
 impl Looked {
     fn at<'a>(points: impl Iterator<Item = &'a Vector3<f64>>) -> Self {
         let bins: Vec<(usize, usize)> = points.filter_map(bin).collect();
+        if bins.is_empty() {
+            return Self { rows: (0, 0), first_column: 0, num_columns: 0 };
+        }
         let row = |of: fn(usize, usize) -> usize, start| bins.iter().map(|b| b.0).fold(start, of);
         let rows = (row(usize::min, ROWS - 1).saturating_sub(1), (row(usize::max, 0) + 1).min(ROWS - 1));
         // The columns left when the widest gap between two is taken away.

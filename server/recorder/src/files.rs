@@ -16,6 +16,14 @@ pub(crate) enum WriteError {
     /// The disk refused: nothing more is written.
     #[error(transparent)]
     File(#[from] BagError),
+    /// The disk is to keep what it has left.
+    #[error("the disk has {left} bytes left of {min} that recordings leave it; make room")]
+    NoRoom {
+        /// What it has.
+        left: u64,
+        /// What it is to have.
+        min: u64,
+    },
     /// The next file cannot be begun: the one that is being written is sound, and can be ended.
     #[error(transparent)]
     NextFile(BagError),

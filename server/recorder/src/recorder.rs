@@ -23,12 +23,15 @@ pub struct RecorderSettings {
     pub max_waiting_bytes: usize,
     /// How long what was written may be lost if the process is killed.
     pub flush_period: Duration,
+    /// Space that is left on the disk, bytes: a recording ends where there is less.
+    pub min_free_bytes: u64,
 }
 
 impl Default for RecorderSettings {
-    /// 1 GiB a file, 64 MiB waiting (some seconds of a depth camera), 2 s.
+    /// 1 GiB a file, 64 MiB waiting (some seconds of a depth camera), 2 s; the disk may be filled.
     fn default() -> Self {
-        Self { max_file_bytes: 1 << 30, max_waiting_bytes: 64 << 20, flush_period: Duration::from_secs(2) }
+        let (max_file_bytes, max_waiting_bytes) = (1 << 30, 64 << 20);
+        Self { max_file_bytes, max_waiting_bytes, flush_period: Duration::from_secs(2), min_free_bytes: 0 }
     }
 }
 
@@ -99,21 +102,24 @@ impl Shared {
 
 impl Recorder {
     /// Begins `<folder>/<name>_0000.mcap`, the folder, too, if it is not there; later files are `_0001` and so on. All files of a
-    /// folder are read as one recording: each recording wants a folder of its own. Waits for the disk.
+    /// folder are read as one recording: each recording wants a folder of its own. Does not wait for the disk: that it takes no file, or
+    /// that one is there already (nothing is written over), is in [`RecordingState::error`].
     ///
     /// # Errors
-    /// `Name` (not a file's), `Folder`, `File` (not to be written, or there already: nothing is written over), `Thread`.
+    /// `Name` (not a file's), `Thread`.
     pub fn begin(folder: &Path, name: &str, settings: RecorderSettings) -> Result<Self, RecordError> {
         check(name)?;
-        let refused = |error| RecordError::Folder { path: folder.to_owned(), error };
-        std::fs::create_dir_all(folder).map_err(refused)?;
-        let RecorderSettings { max_file_bytes, max_waiting_bytes, flush_period } = settings;
-        let files = Files::begin(folder, name, max_file_bytes)?;
+        let max_waiting_bytes = settings.max_waiting_bytes;
         let shared = Arc::new(Shared::default());
-        shared.lock().state.files = files.paths().to_vec();
-        let of_thread = Arc::clone(&shared);
-        let run =
-            move || Writing { shared: of_thread, files, flush_period, flushed: Instant::now(), is_dirty: false }.run();
+        let (of_thread, folder, name) = (Arc::clone(&shared), folder.to_owned(), name.to_owned());
+        let run = move || {
+            // What is given after the thread has failed would wait for ever.
+            let _told = Failing(Arc::clone(&of_thread));
+            match begin(&folder, &name, settings.max_file_bytes) {
+                Ok(files) => Writing::of(of_thread, files, folder, &settings).run(),
+                Err(error) => of_thread.lock().stop(error.to_string()),
+            }
+        };
         let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(run).map_err(RecordError::Thread)?;
         Ok(Self { shared, max_waiting_bytes, thread: Mutex::new(Some(thread)) })
     }
@@ -169,6 +175,24 @@ impl Drop for Recorder {
     }
 }
 
+/// Makes the folder and the first file.
+fn begin(folder: &Path, name: &str, max_file_bytes: u64) -> Result<Files, RecordError> {
+    let refused = |error| RecordError::Folder { path: folder.to_owned(), error };
+    std::fs::create_dir_all(folder).map_err(refused)?;
+    Ok(Files::begin(folder, name, max_file_bytes)?)
+}
+
+/// Says that the thread has failed, if it has.
+struct Failing(Arc<Shared>);
+
+impl Drop for Failing {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.lock().stop("the recorder's thread failed".to_owned());
+        }
+    }
+}
+
 fn check(name: &str) -> Result<(), RecordError> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
     if name.is_empty() || name.starts_with('.') || name.len() > MAX_NAME_CHARS || !name.chars().all(is_plain) {
@@ -211,7 +235,9 @@ impl Queue {
 struct Writing {
     shared: Arc<Shared>,
     files: Files,
+    folder: PathBuf,
     flush_period: Duration,
+    min_free_bytes: u64,
     flushed: Instant,
     /// Whether something was written since.
     is_dirty: bool,
@@ -225,6 +251,12 @@ enum Work {
 }
 
 impl Writing {
+    fn of(shared: Arc<Shared>, files: Files, folder: PathBuf, settings: &RecorderSettings) -> Self {
+        shared.lock().state.files = files.paths().to_vec();
+        let RecorderSettings { flush_period, min_free_bytes, .. } = *settings;
+        Self { shared, files, folder, flush_period, min_free_bytes, flushed: Instant::now(), is_dirty: false }
+    }
+
     fn run(mut self) {
         let ended = loop {
             let done = match self.next() {
@@ -304,7 +336,17 @@ impl Writing {
         Ok(())
     }
 
+    /// Whether the disk has as much left as it is to have; one that does not tell has.
+    fn check_room(&self) -> Result<(), WriteError> {
+        if self.min_free_bytes == 0 {
+            return Ok(());
+        }
+        let left = rustix::fs::statvfs(&self.folder).map_or(u64::MAX, |s| s.f_bavail.saturating_mul(s.f_frsize));
+        if left >= self.min_free_bytes { Ok(()) } else { Err(WriteError::NoRoom { left, min: self.min_free_bytes }) }
+    }
+
     fn flush(&mut self) -> Result<(), WriteError> {
+        self.check_room()?;
         self.files.flush()?;
         self.is_dirty = false;
         self.tell();

@@ -141,7 +141,7 @@ pub(crate) async fn free_number(objects: &dyn ObjectStore, id: &str) -> Result<u
 }
 
 /// Looks at the entries of an id that others create, bury and purge meanwhile.
-const LOOKS: usize = 8;
+pub(crate) const LOOKS: usize = 8;
 
 /// The newest entry of one id, if there is any and it was not purged.
 pub(crate) async fn newest(objects: &dyn ObjectStore, id: &str) -> Result<Option<CatalogueEntry>, StoreError> {

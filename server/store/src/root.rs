@@ -96,7 +96,7 @@ impl DataRoot {
     pub async fn create(&self, id: &str, record: &[u8]) -> Result<SessionPlace, StoreError> {
         let _alone = self.changing.lock().await;
         let mut place = self.reserve(id).await?;
-        loop {
+        for _ in 0..catalogue::LOOKS {
             match self.publish(&place, record).await {
                 // Whoever purges the session that was there before says so with the number that was free a moment ago.
                 Err(StoreError::AlreadyExists { .. }) if catalogue::is_past(self.objects.as_ref(), &place).await? => {
@@ -105,6 +105,7 @@ impl DataRoot {
                 published => return published.map(|()| place),
             }
         }
+        Err(StoreError::AlreadyExists { id: id.to_owned() })
     }
 
     /// Says, durably, that a session is gone. What it stored stays until [`DataRoot::purge`]. Saying it twice is no

@@ -58,7 +58,7 @@ pub(crate) struct ServeArgs {
     /// Router or peer of zenoh to connect to, e.g. tcp/router.local:7447; may be given several times.
     #[arg(long, value_name = "ENDPOINT")]
     zenoh_connect: Vec<String>,
-    /// Folder in which all that sessions are sent is recorded, as MCAP.
+    /// Folder in which all that sessions take is recorded, as MCAP.
     #[arg(long, value_name = "FOLDER")]
     record: Option<String>,
     /// A robot on ROS 2 (rmw_zenoh): SESSION=ENDPOINT, where ENDPOINT is its zenoh router, e.g.

@@ -87,8 +87,8 @@ fn is_endpoint(endpoint: &str) -> bool {
 
 fn check_zenoh(zenoh: &Zenoh, auth: &AuthSettings) -> Result<(), ConfigError> {
     for endpoint in &zenoh.connect {
-        if !is_endpoint(endpoint) {
-            let remedy = "write tcp/, udp/ or tls/, address and port, such as \"tcp/router.local:7447\"";
+        if !is_endpoint(endpoint) || endpoint.starts_with("tls/") {
+            let remedy = "write tcp/ or udp/, address and port, such as \"tcp/router.local:7447\"";
             return Err(quoted("zenoh.connect", endpoint, remedy));
         }
     }
@@ -107,9 +107,8 @@ fn check_zenoh(zenoh: &Zenoh, auth: &AuthSettings) -> Result<(), ConfigError> {
         };
         return Err(quoted(field, value, remedy));
     }
-    let beyond = zenoh.connect.iter().find(|e| !is_loopback(e));
-    if let Some(endpoint) = beyond.filter(|_| !auth.allow_anonymous_beyond_loopback) {
-        let remedy = "on which others are, and nobody is asked who they are: let everybody in with \
+    if let Some(endpoint) = zenoh.connect.first().filter(|_| !auth.allow_anonymous_beyond_loopback) {
+        let remedy = "which others may reach, wherever it is, and nobody is asked who they are: let everybody in with \
                       auth.allow_anonymous_beyond_loopback = true";
         return Err(quoted("zenoh.connect", endpoint, remedy));
     }

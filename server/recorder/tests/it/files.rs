@@ -3,7 +3,7 @@
 use crate::sensors::{at, begin, messages, scan, send, spec};
 use percept_bags::{BagError, Recording};
 use percept_formats::dataset::open;
-use percept_geometry::{LaserScan, Pose, SensorData, SensorKind};
+use percept_geometry::{LaserScan, Pose, SensorData, SensorKind, Timestamp};
 use percept_recorder::{RecordError, Recorder, RecorderSettings};
 use std::time::Duration;
 
@@ -98,22 +98,39 @@ fn a_recorder_that_is_dropped_ends_its_file() {
 #[test]
 fn a_place_that_cannot_be_written_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    let begin = |folder: &std::path::Path, name: &str| {
-        Recorder::begin(folder, name, RecorderSettings::default()).map(|r| r.finish()).map_err(|e| (e.to_string(), e))
-    };
-    assert!(begin(&folder.path().join("new/place"), "drive").is_ok());
+    let begin = |folder: &std::path::Path, name: &str| Recorder::begin(folder, name, RecorderSettings::default());
+    let error = |folder: &std::path::Path| begin(folder, "drive").unwrap().finish().error;
+    assert_eq!(error(&folder.path().join("new/place")), None);
     let file = folder.path().join("file");
     std::fs::write(&file, "").unwrap();
-    let (words, error) = begin(&file, "drive").unwrap_err();
-    assert!(matches!(error, RecordError::Folder { .. }) && words.contains("file: File exists"), "{words}");
+    let words = error(&file).unwrap();
+    assert!(words.contains("file: File exists"), "{words}");
     // Nothing is written over.
-    assert!(begin(folder.path(), "drive").is_ok());
-    let (words, error) = begin(folder.path(), "drive").unwrap_err();
-    assert!(matches!(error, RecordError::File(_)) && words.contains("drive_0000.mcap: File exists"), "{words}");
+    assert_eq!(error(folder.path()), None);
+    let words = error(folder.path()).unwrap();
+    assert!(words.contains("drive_0000.mcap: File exists"), "{words}");
     for name in ["", ".hidden", "a/b", "ü", &"a".repeat(101)] {
-        let (words, error) = begin(folder.path(), name).unwrap_err();
+        let error = begin(folder.path(), name).unwrap_err();
+        let words = error.to_string();
         assert!(matches!(error, RecordError::Name { .. }) && words.contains("is none of a file"), "{words}");
     }
+}
+
+#[test]
+fn a_disk_keeps_what_it_is_to_have_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings =
+        RecorderSettings { flush_period: Duration::ZERO, min_free_bytes: u64::MAX, ..RecorderSettings::default() };
+    let recorder = begin(folder.path(), settings);
+    recorder.pose(Timestamp(1), Pose::identity(), None);
+    let until = std::time::Instant::now() + Duration::from_secs(60);
+    while recorder.state().error.is_none() && std::time::Instant::now() < until {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let state = recorder.finish();
+    assert!(state.error.as_ref().is_some_and(|e| e.contains("that recordings leave it")), "{state:?}");
+    // What was written before is whole.
+    assert_eq!(Recording::open(folder.path()).unwrap().warnings(), []);
 }
 
 #[test]

@@ -97,13 +97,13 @@ impl Actor {
             ending = self.obey_all(&mut commands) => ending,
         };
         commands.close();
-        if let Some(recording) = self.recording.take() {
-            recording.end().await;
-        }
         if let Ending::Panicked = ending {
             let _ = self.persister.flushed(LAST_PATIENCE).await;
         }
         self.persister.end().await;
+        if let Some(recording) = self.recording.take() {
+            recording.end(LAST_PATIENCE).await;
+        }
         ending
     }
 

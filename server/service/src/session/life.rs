@@ -139,7 +139,7 @@ impl Registry {
         let mark = store.mark();
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
         let (compute, specs) = (self.compute.clone(), meta.sensors.iter().map(|s| &s.spec));
-        let recording = Recording::begin(&self.recordings, (&meta.tenant, &meta.id), specs).await;
+        let recording = Recording::of(&self.recordings, (&meta.tenant, &meta.id), specs);
         let kept = (persister, scratch, recording);
         let (session, actor) = start(meta, recovered.pipeline, &stamps, kept, compute, &self.limits, events);
         let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));

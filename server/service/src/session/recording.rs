@@ -7,27 +7,30 @@ use percept_recorder::{Recorder, RecorderSettings, RecordingState};
 use percept_slam::{Scale, TrackingState};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Which sessions are recorded, and where.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingSettings {
-    /// Folder of recordings; empty: nothing is recorded. A session that wakes begins one in
-    /// TENANT/SESSION/MILLISECONDS-SINCE-1970 there, which ends when it sleeps.
+    /// Folder of recordings; empty: nothing is recorded. The first frame that a session takes after it woke begins one in
+    /// TENANT/SESSION/MILLISECONDS-SINCE-1970 there, which ends when it sleeps. They stay when sessions are deleted.
     pub dir: String,
     /// Ids of the sessions that are recorded, * for any characters.
     pub sessions: String,
     /// Size from which on a recording goes on in a next file, MB; 1 to 1048576.
     pub max_file_mb: u64,
-    /// What may wait to be written of a session, MB; frames beyond it are not recorded, and counted. 1 to 65536.
+    /// What may wait to be written of a session, MB; frames beyond it are not recorded, and counted. 16 to 65536.
     pub max_waiting_mb: usize,
+    /// Space that recordings leave on their disk, MB: where there is less, they end.
+    pub min_free_mb: u64,
 }
 
 impl Default for RecordingSettings {
     fn default() -> Self {
-        Self { dir: String::new(), sessions: "*".to_owned(), max_file_mb: 1024, max_waiting_mb: 64 }
+        Self { dir: String::new(), sessions: "*".to_owned(), max_file_mb: 1024, max_waiting_mb: 64, min_free_mb: 2048 }
     }
 }
 
@@ -42,28 +45,31 @@ impl RecordingSettings {
         if !(1..=1 << 20).contains(max_file_mb) {
             return Some(("recording.max_file_mb", max_file_mb.to_string(), "set it between 1 and 1048576"));
         }
-        let fits = (1..=1 << 16).contains(max_waiting_mb);
-        (!fits).then(|| ("recording.max_waiting_mb", max_waiting_mb.to_string(), "set it between 1 and 65536"))
+        let fits = (16..=1 << 16).contains(max_waiting_mb);
+        (!fits).then(|| ("recording.max_waiting_mb", max_waiting_mb.to_string(), "set it between 16 and 65536"))
     }
 }
 
-/// A session's recording.
+/// A session's recording, from the first frame on.
 pub(super) struct Recording {
     session: String,
-    recorder: Arc<Recorder>,
+    folder: PathBuf,
+    settings: RecorderSettings,
+    recorder: Option<Recorder>,
     /// As declared.
     specs: BTreeMap<SensorId, Arc<SensorSpec>>,
     frames: u64,
-    /// What went wrong was told.
-    is_told: bool,
+    /// What was told of what went wrong.
+    are_gaps_told: bool,
+    is_error_told: bool,
 }
 
 /// Frames after which it is looked whether something goes wrong.
 const LOOK_EVERY: u64 = 30;
 
 impl Recording {
-    /// Begins one, if this session is recorded. What stands against it is told in the log: the session goes on without.
-    pub(super) async fn begin<'a>(
+    /// Of a session that is recorded; none of another.
+    pub(super) fn of<'a>(
         settings: &RecordingSettings,
         (tenant, session): (&str, &str),
         sensors: impl Iterator<Item = &'a SensorSpec>,
@@ -72,28 +78,22 @@ impl Recording {
             return None;
         }
         let since_1970 = crate::clock::now_ns() / 1_000_000;
-        let folder = Path::new(&settings.dir).join(tenant).join(session).join(since_1970.to_string());
-        let settings = RecorderSettings {
+        let settings_of = RecorderSettings {
             max_file_bytes: settings.max_file_mb << 20,
             max_waiting_bytes: settings.max_waiting_mb << 20,
+            min_free_bytes: settings.min_free_mb.saturating_mul(1 << 20),
             ..RecorderSettings::default()
         };
-        let into = folder.clone();
-        let begun = tokio::task::spawn_blocking(move || Recorder::begin(&into, "recording", settings)).await;
-        let recorder = match begun {
-            Ok(Ok(recorder)) => Arc::new(recorder),
-            Ok(Err(error)) => {
-                tracing::error!(session, %error, "a session is not recorded");
-                return None;
-            }
-            Err(panic) => {
-                tracing::error!(session, %panic, "a session is not recorded");
-                return None;
-            }
-        };
-        tracing::info!(session, folder = %folder.display(), "a session is recorded");
-        let specs = sensors.map(|spec| (spec.id.clone(), Arc::new(spec.clone()))).collect();
-        Some(Self { session: session.to_owned(), recorder, specs, frames: 0, is_told: false })
+        Some(Self {
+            session: session.to_owned(),
+            folder: Path::new(&settings.dir).join(segment(tenant)).join(segment(session)).join(since_1970.to_string()),
+            settings: settings_of,
+            recorder: None,
+            specs: sensors.map(|spec| (spec.id.clone(), Arc::new(spec.clone()))).collect(),
+            frames: 0,
+            are_gaps_told: false,
+            is_error_told: false,
+        })
     }
 
     /// A sensor was declared, or otherwise.
@@ -101,33 +101,56 @@ impl Recording {
         self.specs.insert(spec.id.clone(), Arc::new(spec.clone()));
     }
 
-    /// A frame that was accepted, and the pose that it led to.
+    /// A frame that was accepted, and the pose that it led to. Never waits.
     pub(super) fn add(&mut self, frame: SensorFrame, pose: Option<&PoseEstimate>) {
+        let session = &self.session;
+        if self.recorder.is_none() && !self.is_error_told {
+            match Recorder::begin(&self.folder, "recording", self.settings.clone()) {
+                Ok(recorder) => {
+                    tracing::info!(session, folder = %self.folder.display(), "a session is recorded");
+                    self.recorder = Some(recorder);
+                }
+                Err(error) => {
+                    self.is_error_told = true;
+                    tracing::error!(session, %error, "a session is not recorded");
+                }
+            }
+        }
+        let Some(recorder) = &self.recorder else { return };
         if let Some(spec) = self.specs.get(&frame.sensor) {
-            self.recorder.frame(spec, Arc::new(frame));
+            recorder.frame(spec, Arc::new(frame));
         }
         // In metres, and believed.
         if let Some(pose) = pose.filter(|p| p.state == TrackingState::Tracking && p.scale != Scale::Unknown) {
-            self.recorder.pose(pose.stamp, pose.t_map_base, Some(pose.covariance));
+            recorder.pose(pose.stamp, pose.t_map_base, Some(pose.covariance));
         }
         self.frames += 1;
-        if !self.is_told && self.frames.is_multiple_of(LOOK_EVERY) {
-            let state = self.recorder.state();
-            if state.error.is_some() || state.num_dropped > 0 {
-                self.is_told = true;
-                tell(&self.session, &state);
+        if self.frames.is_multiple_of(LOOK_EVERY) && !self.is_error_told {
+            let state = recorder.state();
+            let (has_error, has_gaps) = (state.error.is_some(), state.num_dropped > 0);
+            if has_error || (has_gaps && !self.are_gaps_told) {
+                tell(session, &state);
             }
+            (self.is_error_told, self.are_gaps_told) = (has_error, has_gaps);
         }
     }
 
-    /// Ends it; what waits is written.
-    pub(super) async fn end(self) {
-        let Self { session, recorder, .. } = self;
-        match tokio::task::spawn_blocking(move || recorder.finish()).await {
-            Ok(state) => tell(&session, &state),
-            Err(panic) => tracing::error!(session, %panic, "a recording was not ended"),
+    /// Ends it; what waits is written, for as long as `patience`: a disk that hangs holds no session.
+    pub(super) async fn end(self, patience: Duration) {
+        let (session, Some(recorder)) = (self.session, self.recorder) else { return };
+        let ended = tokio::task::spawn_blocking(move || recorder.finish());
+        match tokio::time::timeout(patience, ended).await {
+            Ok(Ok(state)) => tell(&session, &state),
+            Ok(Err(panic)) => tracing::error!(session, %panic, "a recording was not ended"),
+            Err(_) => tracing::error!(session, "a recording's disk does not answer; it ends when the disk does"),
         }
     }
+}
+
+/// A name as one part of a path, another for every name: tenants may be called anything.
+fn segment(name: &str) -> String {
+    let plain = |b: &u8| b.is_ascii_alphanumeric() || matches!(b, b'_' | b'-');
+    name.bytes().map(|b| if plain(&b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
 }
 
 fn tell(session: &str, state: &RecordingState) {
@@ -148,5 +171,21 @@ fn tell(session: &str, state: &RecordingState) {
             );
         }
         None => tracing::info!(session, messages = of.0, bytes = of.1, files = of.2, "a recording has ended"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_name_leads_out_of_the_folder_nor_into_anothers() {
+        let names = ["default", "..", "/etc", "a/b", "a%2Fb", "a.b", ""];
+        let segments: Vec<String> = names.iter().map(|n| segment(n)).collect();
+        assert_eq!(segments, ["default", "%2E%2E", "%2Fetc", "a%2Fb", "a%252Fb", "a%2Eb", ""]);
+        let settings = RecordingSettings { dir: "recordings".to_owned(), ..RecordingSettings::default() };
+        let of = |tenant| Recording::of(&settings, (tenant, "s"), std::iter::empty()).map(|r| r.folder);
+        assert!(of("../x").is_some_and(|f| f.starts_with("recordings/%2E%2E%2Fx/s")));
+        assert!(Recording::of(&RecordingSettings::default(), ("a", "s"), std::iter::empty()).is_none());
     }
 }

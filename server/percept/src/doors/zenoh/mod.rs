@@ -61,6 +61,9 @@ fn config(setup: &Setup, policy: &Policy) -> Result<zenoh::Config, Failure> {
     if !network.namespace.is_empty() {
         config.insert_json5("namespace", &serde_json::to_string(&network.namespace)?)?;
     }
+    if !network.connect.is_empty() {
+        config.insert_json5("access_control", &access::ours_alone(&network.namespace).to_string())?;
+    }
     for (key, value) in policy.settings() {
         config.insert_json5(key, &value)?;
     }
