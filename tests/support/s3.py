@@ -14,12 +14,19 @@ from .server import free_port
 BUCKET = "percept-test"
 #: What a server needs in its environment to reach it.
 KEYS = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test"}
+#: moto looks whether an object is there and then writes it, in threads: of two who create it at once both would win.
+#: So one request is answered after the other; its body is read before, that nobody waits for a sender who falls silent.
 SERVE = """
-import sys, time
-from moto.server import ThreadedMotoServer
-ThreadedMotoServer(ip_address="127.0.0.1", port=int(sys.argv[1]), verbose=False).start()
-while True:
-    time.sleep(3600)
+import io, sys, threading
+from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
+from werkzeug.serving import make_server
+moto, one_at_a_time = DomainDispatcherApplication(create_backend_app), threading.Lock()
+def app(environ, start_response):
+    body = environ["wsgi.input"].read(int(environ.get("CONTENT_LENGTH") or 0))
+    environ["wsgi.input"] = io.BytesIO(body)
+    with one_at_a_time:
+        return [b"".join(moto(environ, start_response))]
+make_server("127.0.0.1", int(sys.argv[1]), app, threaded=True).serve_forever()
 """
 
 
