@@ -62,6 +62,16 @@ DELETE_SESSION = Rpc(
 UPDATE_SESSION = Rpc(
     _S, "UpdateSession", sessions.UpdateSessionRequest, sessions.UpdateSessionResponse, repeatable=False
 )
+START_RECORDING = Rpc(_S, "StartRecording", sessions.StartRecordingRequest, sessions.StartRecordingResponse)
+STOP_RECORDING = Rpc(_S, "StopRecording", sessions.StopRecordingRequest, sessions.StopRecordingResponse)
+LIST_RECORDINGS = Rpc(_S, "ListRecordings", sessions.ListRecordingsRequest, sessions.ListRecordingsResponse)
+DELETE_RECORDING = Rpc(
+    _S,
+    "DeleteRecording",
+    sessions.DeleteRecordingRequest,
+    sessions.DeleteRecordingResponse,
+    repeatable=False,
+)
 GET_POSE = Rpc(_S, "GetPose", sessions.GetPoseRequest, sessions.GetPoseResponse)
 LOOKUP_TRANSFORM = Rpc(
     _S, "LookupTransform", sessions.LookupTransformRequest, sessions.LookupTransformResponse

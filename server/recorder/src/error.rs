@@ -29,3 +29,13 @@ pub enum RecordError {
     #[error("no thread for the recording: {0}")]
     Thread(std::io::Error),
 }
+
+impl RecordError {
+    pub(crate) fn is_disk_full(&self) -> bool {
+        match self {
+            Self::Folder { error, .. } => error.kind() == std::io::ErrorKind::StorageFull,
+            Self::File(error) => crate::files::is_disk_full(error),
+            Self::Name { .. } | Self::Thread(_) => false,
+        }
+    }
+}

@@ -29,6 +29,23 @@ pub(crate) enum WriteError {
     NextFile(BagError),
 }
 
+impl WriteError {
+    /// Whether there is no room, rather than a fault.
+    pub(crate) fn is_disk_full(&self) -> bool {
+        match self {
+            Self::NoRoom { .. } => true,
+            Self::File(error) | Self::NextFile(error) => is_disk_full(error),
+            Self::Unwritable(_) => false,
+        }
+    }
+}
+
+/// Whether a file was refused for want of room.
+pub(crate) fn is_disk_full(error: &BagError) -> bool {
+    use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+    matches!(error, BagError::Io { error, .. } if matches!(error.kind(), StorageFull | QuotaExceeded))
+}
+
 /// The file that is being written, and what is known of those before it.
 pub(crate) struct Files {
     folder: PathBuf,

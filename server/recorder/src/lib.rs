@@ -34,6 +34,10 @@ mod files;
 mod messages;
 mod names;
 mod recorder;
+mod room;
+mod state;
 
 pub use error::RecordError;
-pub use recorder::{Recorder, RecorderSettings, RecordingState};
+pub use recorder::{Recorder, RecorderSettings};
+pub use room::SharedRoom;
+pub use state::{Dropped, RecordingState};

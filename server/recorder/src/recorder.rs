@@ -1,7 +1,8 @@
 //! The recorder: a queue between those who must not wait and the thread that writes.
 
-use crate::RecordError;
-use crate::files::{Files, WriteError};
+use crate::files::{Files, WriteError, is_disk_full};
+use crate::room::{Place, SharedRoom};
+use crate::{RecordError, RecordingState};
 use percept_geometry::{Covariance6, Pose, SensorData, SensorFrame, SensorSpec, Timestamp};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -35,23 +36,6 @@ impl Default for RecorderSettings {
     }
 }
 
-/// What has come of a recording.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct RecordingState {
-    /// Messages that were written; a frame is one to four, a pose two, and mounts are one each time they are told.
-    pub num_messages: u64,
-    /// Frames and poses that are not in the files: there was no room, they cannot be said in messages, or the disk refused.
-    pub num_dropped: u64,
-    /// Bytes of all files; what waits to be packed is counted as it is.
-    pub num_bytes: u64,
-    /// The files, in their order.
-    pub files: Vec<PathBuf>,
-    /// Why the first frame was dropped that cannot be said in messages; recording went on.
-    pub fault: Option<String>,
-    /// Why recording ended before its time.
-    pub error: Option<String>,
-}
-
 /// A recording that is going on. Handed about in an `Arc`; the last to drop it ends it as [`Recorder::finish`] does.
 ///
 /// ```
@@ -61,7 +45,7 @@ pub struct RecordingState {
 /// let recorder = Recorder::begin(folder.path(), "drive", RecorderSettings::default())?;
 /// recorder.pose(Timestamp(1), Pose::identity(), None);
 /// let state = recorder.finish();
-/// assert_eq!((state.num_messages, state.num_dropped, state.error), (2, 0, None));
+/// assert_eq!((state.num_messages, state.dropped.total(), state.error), (2, 0, None));
 /// assert!(state.files[0].ends_with("drive_0000.mcap"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -69,6 +53,7 @@ pub struct RecordingState {
 pub struct Recorder {
     shared: Arc<Shared>,
     max_waiting_bytes: usize,
+    room: Arc<SharedRoom>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -81,7 +66,7 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct Queue {
-    items: VecDeque<Item>,
+    items: VecDeque<(Item, Place)>,
     /// Of the items, and of the one that is being written.
     waiting_bytes: usize,
     is_ending: bool,
@@ -108,8 +93,21 @@ impl Recorder {
     /// # Errors
     /// `Name` (not a file's), `Thread`.
     pub fn begin(folder: &Path, name: &str, settings: RecorderSettings) -> Result<Self, RecordError> {
+        Self::begin_in(folder, name, settings, &SharedRoom::of(usize::MAX))
+    }
+
+    /// The same; what waits takes room that other recordings share, too.
+    ///
+    /// # Errors
+    /// As [`Recorder::begin`].
+    pub fn begin_in(
+        folder: &Path,
+        name: &str,
+        settings: RecorderSettings,
+        room: &Arc<SharedRoom>,
+    ) -> Result<Self, RecordError> {
         check(name)?;
-        let max_waiting_bytes = settings.max_waiting_bytes;
+        let (max_waiting_bytes, room) = (settings.max_waiting_bytes, Arc::clone(room));
         let shared = Arc::new(Shared::default());
         let (of_thread, folder, name) = (Arc::clone(&shared), folder.to_owned(), name.to_owned());
         let run = move || {
@@ -117,11 +115,11 @@ impl Recorder {
             let _told = Failing(Arc::clone(&of_thread));
             match begin(&folder, &name, settings.max_file_bytes) {
                 Ok(files) => Writing::of(of_thread, files, folder, &settings).run(),
-                Err(error) => of_thread.lock().stop(error.to_string()),
+                Err(error) => of_thread.lock().stop(error.to_string(), error.is_disk_full()),
             }
         };
         let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(run).map_err(RecordError::Thread)?;
-        Ok(Self { shared, max_waiting_bytes, thread: Mutex::new(Some(thread)) })
+        Ok(Self { shared, max_waiting_bytes, room, thread: Mutex::new(Some(thread)) })
     }
 
     /// Gives a frame, and what its sensor is declared as, whose id counts. Never waits for the disk and never fails: what is not written is
@@ -149,7 +147,7 @@ impl Recorder {
         // Held until it has ended: whoever else asks waits for the same.
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if thread.take().is_some_and(|thread| thread.join().is_err()) {
-            self.shared.lock().stop("the recorder's thread failed".to_owned());
+            self.shared.lock().stop("the recorder's thread failed".to_owned(), false);
         }
         self.state()
     }
@@ -157,13 +155,20 @@ impl Recorder {
     fn push(&self, item: Item) {
         let num_bytes = item.num_bytes();
         let mut queue = self.shared.lock();
-        let is_full = queue.waiting_bytes.saturating_add(num_bytes) > self.max_waiting_bytes;
-        if is_full || queue.is_ending || queue.state.error.is_some() {
-            queue.state.num_dropped += 1;
+        if queue.is_ending || queue.state.error.is_some() {
+            queue.state.dropped.ended += 1;
             return;
         }
+        if queue.waiting_bytes.saturating_add(num_bytes) > self.max_waiting_bytes {
+            queue.state.dropped.too_slow += 1;
+            return;
+        }
+        let Some(place) = self.room.take(num_bytes) else {
+            queue.state.dropped.no_shared_room += 1;
+            return;
+        };
         queue.waiting_bytes += num_bytes;
-        queue.items.push_back(item);
+        queue.items.push_back((item, place));
         drop(queue);
         self.shared.changed.notify_one();
     }
@@ -188,7 +193,7 @@ struct Failing(Arc<Shared>);
 impl Drop for Failing {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            self.0.lock().stop("the recorder's thread failed".to_owned());
+            self.0.lock().stop("the recorder's thread failed".to_owned(), false);
         }
     }
 }
@@ -223,9 +228,11 @@ impl Item {
 
 impl Queue {
     /// Ends the recording before its time: what waits is dropped.
-    fn stop(&mut self, error: String) {
-        self.state.error.get_or_insert(error);
-        self.state.num_dropped += self.items.len() as u64;
+    fn stop(&mut self, error: String, is_disk_full: bool) {
+        if self.state.error.is_none() {
+            (self.state.error, self.state.is_disk_full) = (Some(error), is_disk_full);
+        }
+        self.state.dropped.ended += self.items.len() as u64;
         self.items.clear();
         self.waiting_bytes = 0;
     }
@@ -245,7 +252,7 @@ struct Writing {
 
 /// What there is to do.
 enum Work {
-    Write(Item),
+    Write(Item, Place),
     Flush,
     End,
 }
@@ -260,7 +267,7 @@ impl Writing {
     fn run(mut self) {
         let ended = loop {
             let done = match self.next() {
-                Work::Write(item) => self.write(&item),
+                Work::Write(item, place) => self.write(&item, place),
                 Work::Flush => self.flush(),
                 Work::End => break Ok(()),
             };
@@ -270,7 +277,7 @@ impl Writing {
         };
         let Self { shared, files, .. } = self;
         if let Err(error) = &ended {
-            shared.lock().stop(error.to_string());
+            shared.lock().stop(error.to_string(), error.is_disk_full());
         }
         if matches!(ended, Err(WriteError::File(_))) {
             // What a refused disk has of the file is read so far.
@@ -280,7 +287,7 @@ impl Writing {
         let mut queue = shared.lock();
         match num_bytes {
             Ok(num_bytes) => queue.state.num_bytes = num_bytes,
-            Err(error) => queue.stop(error.to_string()),
+            Err(error) => queue.stop(error.to_string(), is_disk_full(&error)),
         }
     }
 
@@ -292,8 +299,8 @@ impl Writing {
             if self.is_dirty && due.is_zero() {
                 return Work::Flush;
             }
-            if let Some(item) = queue.items.pop_front() {
-                return Work::Write(item);
+            if let Some((item, place)) = queue.items.pop_front() {
+                return Work::Write(item, place);
             }
             if queue.is_ending {
                 return Work::End;
@@ -307,22 +314,23 @@ impl Writing {
         }
     }
 
-    fn write(&mut self, item: &Item) -> Result<(), WriteError> {
+    fn write(&mut self, item: &Item, place: Place) -> Result<(), WriteError> {
         let written = match item {
             Item::Frame(spec, frame) => self.files.frame(spec, frame),
             Item::Pose(stamp, pose) => self.files.pose(*stamp, &pose.0, pose.1.as_ref()),
         };
         let mut queue = self.shared.lock();
-        queue.waiting_bytes = queue.waiting_bytes.saturating_sub(item.num_bytes());
+        queue.waiting_bytes = queue.waiting_bytes.saturating_sub(place.num_bytes);
+        drop(place);
         match written {
-            Ok(()) => {}
+            Ok(()) => queue.state.num_frames += u64::from(matches!(item, Item::Frame(..))),
             Err(WriteError::Unwritable(fault)) => {
-                queue.state.num_dropped += 1;
+                queue.state.dropped.unwritable += 1;
                 queue.state.fault.get_or_insert_with(|| fault.to_string());
                 return Ok(());
             }
             Err(error) => {
-                queue.state.num_dropped += 1;
+                queue.state.dropped.ended += 1;
                 return Err(error);
             }
         }

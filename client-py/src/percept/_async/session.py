@@ -38,6 +38,7 @@ from .bound import AsyncBound, AsyncSessionBound
 from .layers import AsyncSpace
 from .maps import AsyncMaps
 from .pages import AsyncPages
+from .recordings import AsyncRecordings
 from .scene import AsyncScene
 from .sensors import AsyncSensors
 from .stream import AsyncFrameStream
@@ -78,6 +79,11 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
     def scene(self) -> AsyncScene:
         """Its objects and their relations."""
         return AsyncScene(self._transport, self.session_id)
+
+    @property
+    def recordings(self) -> AsyncRecordings:
+        """Its recordings on the server."""
+        return AsyncRecordings(self._transport, self.session_id)
 
     async def info(self) -> SessionInfo:
         """The session as it is now."""

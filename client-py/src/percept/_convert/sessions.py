@@ -33,7 +33,7 @@ from ..types.sessions import (
 )
 from ..v1 import error_pb2, params_pb2, session_pb2
 from ..v1 import sessions_service_pb2 as service
-from . import geometry, maps, navigation, poses, scene, sensors, words, zones
+from . import geometry, maps, navigation, poses, recordings, scene, sensors, words, zones
 
 
 def watch(
@@ -78,6 +78,8 @@ def session_info(message: session_pb2.Session) -> SessionInfo:
         zones=tuple(navigation.zone(z) for z in message.zones),
         zone_masks=tuple(zones.mask(m) for m in message.zone_masks),
         stream_notes=tuple(sensors.note(n) for n in message.stream_notes),
+        recorded=message.recorded,
+        recording=recordings.recording(message.recording) if message.HasField("recording") else None,
     )
 
 

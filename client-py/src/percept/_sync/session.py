@@ -39,6 +39,7 @@ from .bound import Bound, SessionBound
 from .layers import Space
 from .maps import Maps
 from .pages import Pages
+from .recordings import Recordings
 from .scene import Scene
 from .sensors import Sensors
 from .stream import FrameStream
@@ -79,6 +80,11 @@ class Session(SessionBound, FrameSender[FrameResult]):
     def scene(self) -> Scene:
         """Its objects and their relations."""
         return Scene(self._transport, self.session_id)
+
+    @property
+    def recordings(self) -> Recordings:
+        """Its recordings on the server."""
+        return Recordings(self._transport, self.session_id)
 
     def info(self) -> SessionInfo:
         """The session as it is now."""

@@ -137,6 +137,14 @@ from .poses import (
     Transform,
     WaitingFor,
 )
+from .recordings import (
+    RecordedFile,
+    Recording,
+    RecordingDrops,
+    RecordingEnd,
+    RecordingState,
+    StoredRecording,
+)
 from .scene import (
     Detection,
     Door,
@@ -374,6 +382,11 @@ __all__ = [
     "PosedView",
     "Ransac",
     "RayAnswers",
+    "RecordedFile",
+    "Recording",
+    "RecordingDrops",
+    "RecordingEnd",
+    "RecordingState",
     "Region",
     "Registration",
     "RegistrationMethod",
@@ -421,6 +434,7 @@ __all__ = [
     "Steering",
     "Step",
     "StepResult",
+    "StoredRecording",
     "Storey",
     "StoreyOptions",
     "StreamSummary",

@@ -16,6 +16,7 @@ from .geometry import Floats, Pose, rotation_matrices
 from .maps import Loop
 from .navigation import Zone, ZoneMask
 from .poses import PoseEstimate, Scale, TrackingState
+from .recordings import Recording
 from .scene import ObjectChange
 from .sensors import SensorStatus, StreamNote
 
@@ -102,6 +103,10 @@ class SessionInfo(Value):
     zone_masks: tuple[ZoneMask, ...]
     #: What is to be said of streams that are no sensors of it; empty in lists.
     stream_notes: tuple[StreamNote, ...]
+    #: Whether the frames that it takes are recorded.
+    recorded: bool
+    #: Its newest recording since the server began; None if there is none.
+    recording: Recording | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -14,6 +14,7 @@ from percept.v1 import map_pb2 as _map_pb2
 from percept.v1 import object_pb2 as _object_pb2
 from percept.v1 import params_pb2 as _params_pb2
 from percept.v1 import path_pb2 as _path_pb2
+from percept.v1 import recording_pb2 as _recording_pb2
 from percept.v1 import sensor_pb2 as _sensor_pb2
 from percept.v1 import toolbox_planning_service_pb2 as _toolbox_planning_service_pb2
 import builtins as _builtins
@@ -591,6 +592,8 @@ class Session(_message.Message):
     ZONES_FIELD_NUMBER: _builtins.int
     ZONE_MASKS_FIELD_NUMBER: _builtins.int
     STREAM_NOTES_FIELD_NUMBER: _builtins.int
+    RECORDED_FIELD_NUMBER: _builtins.int
+    RECORDING_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
     """1 to 64 characters of a-z A-Z 0-9 _ -."""
     display_name: _builtins.str
@@ -616,6 +619,8 @@ class Session(_message.Message):
     """Names this state of what callers set: display_name, labels, zones, zone_masks, params and the sensors' declarations. Frames do not change
     it. Opaque; give it to UpdateSession to change what you have seen and nothing newer.
     """
+    recorded: _builtins.bool
+    """Whether the frames that it takes are recorded, by configuration or by StartRecording, at this server."""
     @_builtins.property
     def params(self) -> _params_pb2.PipelineParams:
         """Every parameter in force. Absent in lists."""
@@ -652,6 +657,10 @@ class Session(_message.Message):
         that nobody sends. Absent in lists, and while the session sleeps.
         """
 
+    @_builtins.property
+    def recording(self) -> _recording_pb2.Recording:
+        """Its newest recording, running or ended, by this server since it began. Absent if there is none."""
+
     def __init__(
         self,
         *,
@@ -676,10 +685,12 @@ class Session(_message.Message):
         zones: _abc.Iterable[_path_pb2.Zone] | None = ...,
         zone_masks: _abc.Iterable[Global___ZoneMask] | None = ...,
         stream_notes: _abc.Iterable[Global___StreamNote] | None = ...,
+        recorded: _builtins.bool = ...,
+        recording: _recording_pb2.Recording | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "_recording", b"_recording", "fault", b"fault", "last_stamp_ns", b"last_stamp_ns", "params", b"params", "pose", b"pose", "recording", b"recording"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "stream_notes", b"stream_notes", "tenant", b"tenant", "zone_masks", b"zone_masks", "zones", b"zones"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_fault", b"_fault", "_last_stamp_ns", b"_last_stamp_ns", "_pose", b"_pose", "_recording", b"_recording", "create_time_ns", b"create_time_ns", "display_name", b"display_name", "etag", b"etag", "fault", b"fault", "labels", b"labels", "last_stamp_ns", b"last_stamp_ns", "last_used_ns", b"last_used_ns", "map_version", b"map_version", "mode", b"mode", "num_keyframes", b"num_keyframes", "num_objects", b"num_objects", "params", b"params", "pose", b"pose", "queue_length", b"queue_length", "recorded", b"recorded", "recording", b"recording", "sensors", b"sensors", "session_id", b"session_id", "state", b"state", "stream_notes", b"stream_notes", "tenant", b"tenant", "zone_masks", b"zone_masks", "zones", b"zones"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__fault: _TypeAlias = _typing.Literal["fault"]  # noqa: Y015
     _WhichOneofArgType__fault: _TypeAlias = _typing.Literal["_fault", b"_fault"]  # noqa: Y015
@@ -687,12 +698,16 @@ class Session(_message.Message):
     _WhichOneofArgType__last_stamp_ns: _TypeAlias = _typing.Literal["_last_stamp_ns", b"_last_stamp_ns"]  # noqa: Y015
     _WhichOneofReturnType__pose: _TypeAlias = _typing.Literal["pose"]  # noqa: Y015
     _WhichOneofArgType__pose: _TypeAlias = _typing.Literal["_pose", b"_pose"]  # noqa: Y015
+    _WhichOneofReturnType__recording: _TypeAlias = _typing.Literal["recording"]  # noqa: Y015
+    _WhichOneofArgType__recording: _TypeAlias = _typing.Literal["_recording", b"_recording"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__fault) -> _WhichOneofReturnType__fault | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__last_stamp_ns) -> _WhichOneofReturnType__last_stamp_ns | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose) -> _WhichOneofReturnType__pose | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__recording) -> _WhichOneofReturnType__recording | None: ...
 
 Global___Session: _TypeAlias = Session  # noqa: Y015
 

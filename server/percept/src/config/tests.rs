@@ -153,6 +153,11 @@ fn complaints_name_place_field_value_and_remedy() {
     said("[listen]\ngrpc = \"\"\nrest = \"\"\nzenoh = \"\"\n", &[], "open at least one door");
     said("[recording]\nsessions = \"a b\"\n", &[], "recording.sessions is \"a b\"; write 1 to 64 characters");
     said("[recording]\nmax_file_mb = 0\n", &[], "recording.max_file_mb is 0; set it between 1 and 1048576");
+    said(
+        "[recording]\nmax_waiting_total_mb = 8\n",
+        &[],
+        "recording.max_waiting_total_mb is 8; set it between 16 and 1048576",
+    );
     said("[storage]\ndata_dir = \"\"\n", &[], "percept.toml:2: storage.data_dir is empty; name a directory");
     said("[params.map.cloud]\n# thin\nvoxel_size_m = 0\n", &[], "percept.toml:3: params.map");
     said("[params.detection]\nrange_m = 99\n", &[], "percept.toml:2: params.detection.range_m is 99; set it between");

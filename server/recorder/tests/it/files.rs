@@ -22,7 +22,7 @@ fn a_recording_in_several_files_is_one_and_each_file_can_be_read_alone() {
     let state = recorder.finish();
     assert!(state.files.len() > 3, "{state:?}");
     let lengths: u64 = state.files.iter().map(|f| std::fs::metadata(f).unwrap().len()).sum();
-    assert_eq!((state.num_bytes, state.num_dropped), (lengths, 0));
+    assert_eq!((state.num_bytes, state.dropped.total()), (lengths, 0));
     let mut num_frames = 0;
     for (i, file) in state.files.iter().enumerate() {
         assert!(file.ends_with(format!("drive_{i:04}.mcap")));
@@ -147,9 +147,9 @@ fn a_next_file_that_cannot_be_begun_ends_the_recording_and_no_more() {
     let state = recorder.finish();
     let error = state.error.clone().unwrap();
     assert!(error.starts_with(&in_the_way.display().to_string()), "{error}");
-    assert_eq!((state.num_dropped, state.files.len()), (4, 1));
+    assert_eq!((state.dropped.total(), state.files.len()), (4, 1));
     send(&recorder, &front, at(900), SensorData::Scan(large));
-    assert_eq!(recorder.finish().num_dropped, 5);
+    assert_eq!(recorder.finish().dropped.total(), 5);
     // The file before was ended.
     assert_eq!(open(&state.files[0]).unwrap().len(), 1);
 }

@@ -2,7 +2,7 @@
 
 use crate::sensors::{at, begin, cloud, depth, imu, scan, send, spec};
 use percept_geometry::{PointCloud, Pose, SensorData, SensorKind};
-use percept_recorder::{Recorder, RecorderSettings};
+use percept_recorder::{Dropped, Recorder, RecorderSettings, SharedRoom};
 
 #[test]
 fn frames_that_do_not_fit_are_counted_and_smaller_ones_go_on() {
@@ -13,10 +13,10 @@ fn frames_that_do_not_fit_are_counted_and_smaller_ones_go_on() {
         send(&recorder, &spec("camera", SensorKind::Depth), at(i), SensorData::Depth(depth(1.0)));
     }
     let state = recorder.state();
-    assert_eq!((state.num_dropped, state.num_messages), (10, 0));
+    assert_eq!((state.dropped.total(), state.num_messages), (10, 0));
     send(&recorder, &spec("imu", SensorKind::Imu), at(20), imu());
     let state = recorder.finish();
-    assert_eq!((state.num_dropped, state.num_messages, state.error), (10, 2, None));
+    assert_eq!((state.dropped.total(), state.num_messages, state.error), (10, 2, None));
 }
 
 #[test]
@@ -29,9 +29,9 @@ fn every_frame_is_written_or_counted() {
     }
     let state = recorder.finish();
     // One is where the sensor sits.
-    assert_eq!(state.num_messages - 1 + state.num_dropped, 500);
+    assert_eq!(state.num_messages - 1 + state.dropped.total(), 500);
     recorder.pose(at(600), Pose::identity(), None);
-    assert_eq!(recorder.state().num_dropped, state.num_dropped + 1);
+    assert_eq!(recorder.state().dropped.total(), state.dropped.total() + 1);
 }
 
 #[test]
@@ -43,7 +43,7 @@ fn a_frame_that_no_message_can_say_is_told_and_recording_goes_on() {
     send(&recorder, &lidar, at(0), SensorData::Cloud(uneven));
     send(&recorder, &lidar, at(1), SensorData::Cloud(cloud()));
     let state = recorder.finish();
-    assert_eq!((state.num_messages, state.num_dropped, state.error), (2, 1, None));
+    assert_eq!((state.num_messages, state.dropped.total(), state.error), (2, 1, None));
     assert!(state.fault.as_ref().is_some_and(|f| f.contains("intensities: expected 2")), "{:?}", state.fault);
 }
 
@@ -60,4 +60,37 @@ fn many_may_give_frames_at_once() {
         }
     });
     assert_eq!(recorder.finish().num_messages, 150 + 3);
+}
+
+#[test]
+fn what_waits_of_all_recordings_together_is_bounded_too_and_given_back() {
+    let folder = tempfile::tempdir().unwrap();
+    // Room for a pose, and not for a depth image.
+    let room = SharedRoom::of(559);
+    let recorders: Vec<Recorder> = ["a", "b"]
+        .map(|name| Recorder::begin_in(&folder.path().join(name), "drive", RecorderSettings::default(), &room).unwrap())
+        .into();
+    for recorder in &recorders {
+        send(recorder, &spec("camera", SensorKind::Depth), at(0), SensorData::Depth(depth(1.0)));
+        let state = recorder.state();
+        assert_eq!((state.dropped.no_shared_room, state.dropped.total()), (1, 1));
+    }
+    for (i, recorder) in recorders.iter().enumerate() {
+        recorder.pose(at(1 + i as i64), Pose::identity(), None);
+        assert_eq!((recorder.finish().num_messages, recorder.state().num_frames), (2, 0));
+        assert_eq!(room.taken(), 0);
+    }
+}
+
+#[test]
+fn what_is_dropped_is_told_by_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorder = begin(folder.path(), RecorderSettings { max_waiting_bytes: 600, ..RecorderSettings::default() });
+    let lidar = spec("lidar", SensorKind::Lidar3d);
+    let large = PointCloud::from_positions(vec![[0.0, 0.0, 1.0].into(); 100]);
+    send(&recorder, &lidar, at(0), SensorData::Cloud(large));
+    recorder.finish();
+    send(&recorder, &spec("imu", SensorKind::Imu), at(1), imu());
+    let dropped = Dropped { too_slow: 1, ended: 1, ..Dropped::default() };
+    assert_eq!(recorder.state().dropped, dropped);
 }

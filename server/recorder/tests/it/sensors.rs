@@ -85,7 +85,7 @@ pub(crate) fn record(folder: &Path, frames: &[(&SensorSpec, Timestamp, SensorDat
         send(&recorder, spec, *stamp, data.clone());
     }
     let state = recorder.finish();
-    assert_eq!((state.num_dropped, &state.fault, &state.error), (0, &None, &None));
+    assert_eq!((state.dropped.total(), &state.fault, &state.error), (0, &None, &None));
     state
 }
 

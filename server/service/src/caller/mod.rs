@@ -13,6 +13,7 @@ mod layers;
 mod map_import;
 mod navigation;
 mod operations;
+mod recordings;
 pub mod rules;
 mod scene;
 

@@ -18,6 +18,7 @@ pub(crate) mod operations;
 pub mod path_picture;
 pub(crate) mod path_watch;
 pub mod pictures;
+mod recordings;
 pub mod rooms;
 pub(crate) mod scene;
 mod sensors;

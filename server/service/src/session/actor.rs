@@ -101,9 +101,6 @@ impl Actor {
             let _ = self.persister.flushed(LAST_PATIENCE).await;
         }
         self.persister.end().await;
-        if let Some(recording) = self.recording.take() {
-            recording.end(LAST_PATIENCE).await;
-        }
         ending
     }
 

@@ -6,7 +6,7 @@ use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::SessionMeta;
 use super::persist::Persister;
-use super::recording::Recording;
+use super::recording::{Recording, RecordingEnd};
 use super::records::{Counts, MetaRecord, SummaryRecord, json};
 use super::recover::recover;
 use super::registry::Registry;
@@ -27,6 +27,8 @@ const MOST_FAILURES: usize = 3;
 const FAILURE_WINDOW_NS: i64 = 600 * 1_000_000_000;
 /// Time that a session may take to store its last frames before it is left awake.
 const RETIRE_PATIENCE: Duration = Duration::from_secs(10);
+/// Time that an ended recording's last bytes may take: a disk that hangs holds no session.
+const RECORDING_PATIENCE: Duration = Duration::from_secs(10);
 /// Tries to remove what a deleted session has left, and the pause between them.
 const PURGE_TRIES: u32 = 5;
 const PURGE_PAUSE: Duration = Duration::from_secs(2);
@@ -139,7 +141,7 @@ impl Registry {
         let mark = store.mark();
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
         let (compute, specs) = (self.compute.clone(), meta.sensors.iter().map(|s| &s.spec));
-        let recording = Recording::of(&self.recordings, (&meta.tenant, &meta.id), specs);
+        let recording = Recording::of(&slot.recording, specs);
         let kept = (persister, scratch, recording);
         let (session, actor) = start(meta, recovered.pipeline, &stamps, kept, compute, &self.limits, events);
         let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));
@@ -175,6 +177,7 @@ impl Registry {
                 Ending::Panicked
             }
         };
+        slot.recording.end(RecordingEnd::Slept, RECORDING_PATIENCE).await;
         self.note(&slot, &session);
         if !matches!(ending, Ending::Discarded) {
             self.write_summary(&slot, &session).await;

@@ -3,6 +3,7 @@
 use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::{SessionMeta, SessionMode};
+use super::recording::RecordingStatus;
 use super::records::{Counts, MetaRecord, SummaryRecord, parse};
 use super::registry::{Registry, not_found};
 use super::slot::{Phase, Slot};
@@ -41,6 +42,8 @@ pub struct SessionView {
     pub counts: Counts,
     /// Server's clock, nanoseconds since the Unix epoch: when it was last used, by this process.
     pub last_used_ns: i64,
+    /// How it is recorded.
+    pub recording: RecordingStatus,
     /// The session, if it is in memory.
     pub live: Option<Arc<Session>>,
 }
@@ -171,6 +174,7 @@ fn view(slot: &Slot) -> SessionView {
         fault: if let Phase::Faulted(fault, _) = phase { Some(fault) } else { None },
         counts,
         last_used_ns: slot.last_used_ns(),
+        recording: slot.recording.status(),
         live,
     }
 }

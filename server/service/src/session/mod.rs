@@ -8,7 +8,7 @@
 //! - [`sensor_book`] counts what sensors send, [`verdict`] says how their streams fare.
 //! - [`persist`] makes results durable, [`writer`] turns them into [`records`] and blobs ([`keyframe_codec`]), [`recover`]
 //!   reads them again, [`inspect`] one by one without running anything. [`fault`] says which troubles pass and which set a
-//!   session apart. [`recording`] writes down what comes in. [`scratch`] takes what of the map does not fit into memory.
+//!   session apart. [`recording`] writes down what comes in, in files that [`recordings`] knows. [`scratch`] takes what of the map does not fit into memory.
 
 pub(crate) mod actor;
 pub(crate) mod annotations;
@@ -31,6 +31,7 @@ pub(crate) mod meta;
 pub(crate) mod open;
 pub(crate) mod persist;
 pub(crate) mod recording;
+pub(crate) mod recordings;
 pub(crate) mod records;
 pub(crate) mod recover;
 pub(crate) mod refusal;

@@ -1,6 +1,6 @@
 //! The registry, and all that runs beside it for as long as it lives.
 
-use super::recording::RecordingSettings;
+use super::recordings::RecordingSettings;
 use super::registry::Registry;
 use super::shelf::OwnDetectors;
 use super::{keeper, sharing};

@@ -5,7 +5,7 @@ use super::fault::{Fault, store_error};
 use super::fleet::{FleetLink, FleetLog};
 use super::handle::Session;
 use super::meta::{SessionMeta, SessionMode};
-use super::recording::RecordingSettings;
+use super::recordings::{RecordingSettings, Recordings};
 use super::records::{Counts, MetaRecord, parse};
 use super::shelf::{OwnDetectors, Shelf};
 use super::slot::{Known, Phase, Slot};
@@ -29,7 +29,7 @@ pub(crate) struct Registry {
     pub(super) compute: ComputePool,
     pub(super) limits: Arc<Limits>,
     pub(super) defaults: PipelineParams,
-    pub(super) recordings: RecordingSettings,
+    pub(super) recordings: Arc<Recordings>,
     /// Learned detectors that sessions may use.
     pub(crate) shelf: Arc<Shelf>,
     pub(super) waking: Semaphore,
@@ -66,7 +66,7 @@ impl Registry {
         let waking = Semaphore::new(WAKES_AT_ONCE);
         let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
         let sessions = RwLock::default();
-        let shelf = Arc::new(Shelf::new(detectors));
+        let (shelf, recordings) = (Arc::new(Shelf::new(detectors)), Recordings::of(recordings));
         let room = Arc::new(AtomicUsize::new(limits.max_session_memory_mb << 20));
         let registry =
             Self { root, compute, limits, defaults, recordings, shelf, waking, first_token, room, fleet, sessions };
@@ -98,7 +98,7 @@ impl Registry {
         let events = EventLog::starting_at(self.first_token, self.limits.event_history).told_to(link);
         let mut sessions = self.sessions.write().unwrap_or_else(PoisonError::into_inner);
         if !sessions.by_id.contains_key(place.id()) {
-            let slot = Slot::new(place.id(), phase, known, events);
+            let slot = Slot::new(place.id(), phase, known, events, &self.recordings);
             let _ = slot.place.set(place);
             sessions.add(&slot);
         }
@@ -261,7 +261,7 @@ impl Registry {
         // Of a session that other servers may tell of, too, nobody resumes from a token of theirs.
         let first = if self.root.is_shared() { self.first_token } else { 1 };
         let events = EventLog::starting_at(first, self.limits.event_history).told_to(link);
-        let slot = Slot::new(&meta.id, Phase::Creating, known, events);
+        let slot = Slot::new(&meta.id, Phase::Creating, known, events, &self.recordings);
         sessions.add(&slot);
         Ok(Reserved::New(slot))
     }

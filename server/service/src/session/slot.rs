@@ -12,6 +12,8 @@
 use super::events::EventLog;
 use super::fault::Fault;
 use super::handle::Session;
+use super::recording::SessionRecording;
+use super::recordings::Recordings;
 use super::records::Counts;
 use super::state::SessionState;
 use crate::{Error, Result, observe};
@@ -84,6 +86,7 @@ pub(super) struct Slot {
     phase: watch::Sender<Phase>,
     known: Mutex<Known>,
     pub(super) events: Arc<EventLog>,
+    pub(super) recording: Arc<SessionRecording>,
     /// Server's clock, nanoseconds: what callers are told.
     last_used_ns: AtomicI64,
     /// The same by a clock that nobody sets, milliseconds since the process began: what sleep goes by.
@@ -105,12 +108,19 @@ pub(super) struct Slot {
 }
 
 impl Slot {
-    pub(super) fn new(id: &str, phase: Phase, known: Known, events: EventLog) -> Arc<Self> {
+    pub(super) fn new(
+        id: &str,
+        phase: Phase,
+        known: Known,
+        events: EventLog,
+        recordings: &Arc<Recordings>,
+    ) -> Arc<Self> {
         observe::session_moved(None, Some(phase.state()));
         Arc::new(Self {
             id: id.to_owned(),
             place: OnceLock::new(),
             phase: watch::channel(phase).0,
+            recording: SessionRecording::of(recordings, &known.tenant, id),
             known: Mutex::new(known),
             events: Arc::new(events),
             last_used_ns: AtomicI64::new(crate::clock::now_ns()),

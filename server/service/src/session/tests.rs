@@ -4,7 +4,7 @@ use super::actor::Ending;
 use super::fault::Trouble;
 use super::job::Job;
 use super::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
-use super::recording::RecordingSettings;
+use super::recordings::RecordingSettings;
 use super::records::{MetaRecord, json};
 use super::recover::recover;
 use super::registry::Registry;

@@ -12,6 +12,7 @@ pub mod map_import;
 pub mod maps;
 pub mod navigation;
 pub mod operations;
+pub mod recordings;
 pub mod room_routes;
 pub mod rooms;
 pub mod scene;

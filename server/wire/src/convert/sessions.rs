@@ -72,6 +72,8 @@ pub fn view_to(s: &SessionView) -> v1::Session {
         zones: vec![],
         zone_masks: vec![],
         stream_notes: vec![],
+        recorded: s.recording.is_recorded,
+        recording: s.recording.newest.as_ref().map(super::recordings::recording_to),
     }
 }
 

@@ -6,7 +6,7 @@ use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::TrajectoryEntry;
 use percept_service::reason;
 use percept_service::{Caller, Error, ErrorCode, Event, admission, observe};
-use percept_wire::convert::{fleet, required, sessions, updates};
+use percept_wire::convert::{fleet, recordings, required, sessions, updates};
 use percept_wire::{params, v1};
 use std::sync::Arc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -217,6 +217,35 @@ impl v1::sessions_service_server::SessionsService for Api {
         let mut answer = Response::new(self.told_while_watched(caller, place, events, std::future::pending()));
         answer.metadata_mut().insert(RESUME_TOKEN, token.into());
         Ok(answer)
+    }
+
+    async fn start_recording(&self, r: Request<v1::StartRecordingRequest>) -> Answer<v1::StartRecordingResponse> {
+        let caller = self.caller(&r)?;
+        let status = caller.start_recording(&r.get_ref().session_id).await.map_err(status::grpc)?;
+        let recording = status.newest.as_ref().map(recordings::recording_to);
+        Ok(Response::new(v1::StartRecordingResponse { recording }))
+    }
+
+    async fn stop_recording(&self, r: Request<v1::StopRecordingRequest>) -> Answer<v1::StopRecordingResponse> {
+        let caller = self.caller(&r)?;
+        let status = caller.stop_recording(&r.get_ref().session_id).await.map_err(status::grpc)?;
+        let recording = status.newest.as_ref().map(recordings::recording_to);
+        Ok(Response::new(v1::StopRecordingResponse { recording }))
+    }
+
+    async fn list_recordings(&self, r: Request<v1::ListRecordingsRequest>) -> Answer<v1::ListRecordingsResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        let page = caller.list_recordings(&r.session_id, r.page_size, &r.page_token).await.map_err(status::grpc)?;
+        let recordings = page.items.iter().map(recordings::stored_to).collect();
+        Ok(Response::new(v1::ListRecordingsResponse { recordings, next_page_token: page.next_page_token }))
+    }
+
+    async fn delete_recording(&self, r: Request<v1::DeleteRecordingRequest>) -> Answer<v1::DeleteRecordingResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        caller.delete_recording(&r.session_id, &r.recording_id).await.map_err(status::grpc)?;
+        Ok(Response::new(v1::DeleteRecordingResponse {}))
     }
 
     async fn get_default_params(

@@ -299,6 +299,7 @@ pub(super) async fn scene_as_dot(api: &Api, context: CallContext, request: Bytes
 
 const SESSION: &[(&str, &str)] = &[("session_id", "session_id")];
 const OF_SESSION: &[(&str, &str)] = &[("session_id", "session.session_id")];
+const RECORDING: &[(&str, &str)] = &[("session_id", "session_id"), ("recording_id", "recording_id")];
 const ROOM: &[(&str, &str)] = &[("session_id", "session_id"), ("room_id", "room_id")];
 const SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id", "sensor_id")];
 const OF_SENSOR: &[(&str, &str)] = &[("session_id", "session_id"), ("sensor_id", "spec.sensor_id")];
@@ -364,6 +365,10 @@ pub(super) static ROUTES: &[Route] = &[
     get("/v1/sessions/{session_id}/keyframes", "SessionsService/ListKeyframes", SESSION, unary!(Message list_keyframes)),
     get("/v1/sessions/{session_id}/events", "SessionsService/WatchSession", SESSION, Kind::Events),
     get("/v1/events", "SessionsService/WatchSessions", &[], Kind::FleetEvents),
+    post("/v1/sessions/{session_id}/recordings/start", "SessionsService/StartRecording", SESSION, unary!(Message start_recording)),
+    post("/v1/sessions/{session_id}/recordings/stop", "SessionsService/StopRecording", SESSION, unary!(Message stop_recording)),
+    get("/v1/sessions/{session_id}/recordings", "SessionsService/ListRecordings", SESSION, unary!(Message list_recordings)),
+    delete("/v1/sessions/{session_id}/recordings/{recording_id}", "SessionsService/DeleteRecording", RECORDING, unary!(Message delete_recording)),
     get("/v1/default-params", "SessionsService/GetDefaultParams", &[], unary!(Message get_default_params)),
 
     post("/v1/sessions/{session_id}/sensors", "SensorsService/DeclareSensor", SESSION, tagged!(declare_sensor, DeclareSensorResponse, sensor)),
