@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import pathlib
 import subprocess
 
+import httpx
 import numpy as np
 import pytest
-from percept import Client
+from percept import AsyncClient, Client, FailedPrecondition, NotFound
 from rosbags.highlevel import AnyReader
 
 from support import world
@@ -35,8 +37,8 @@ def replayed(recording: pathlib.Path, out: pathlib.Path) -> np.ndarray:
 def start(tmp_path):
     servers = []
 
-    def started(*arguments: str) -> tuple[Server, Client]:
-        servers.append(Server(tmp_path / "data", *arguments))
+    def started(*arguments: str, **options: str) -> tuple[Server, Client]:
+        servers.append(Server(tmp_path / "data", *arguments, **options))
         return servers[-1], Client(servers[-1].grpc)
 
     yield started
@@ -129,3 +131,253 @@ def test_a_killed_server_leaves_what_it_recorded_and_a_bad_folder_harms_no_sessi
     assert server.stop() == 0
     assert "a session is not recorded any more" in server.tail()
     assert os.fspath(nowhere) in server.tail()
+
+
+#: What a file that was ended ends with: https://mcap.dev/spec
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+def by_call(tmp_path, more: str = "") -> tuple[str, str]:
+    """The arguments of a server that records whom it is told to."""
+    config = tmp_path / "percept.toml"
+    config.write_text(f'[recording]\ndir = "{tmp_path / "recorded"}"\nsessions = ""\n{more}')
+    return "--config", str(config)
+
+
+def scans(session, numbers: range) -> None:
+    poses = world.drive(numbers.stop)
+    for i in numbers:
+        session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(poses[i]))
+
+
+def num_scans(recording: pathlib.Path) -> int:
+    with AnyReader(sorted(recording.glob("*.mcap"))) as reader:
+        return sum(c.msgcount for c in reader.connections if c.topic == "/laser/scan")
+
+
+def test_calls_begin_and_end_recordings_that_are_listed_and_removed(start, tmp_path):
+    _, client = start(*by_call(tmp_path))
+    session = client.sessions.create(sensors=[world.LASER])
+    scans(session, range(2))
+    assert not session.info().recorded
+    assert session.info().recording is None
+    assert list(session.recordings.list()) == []
+    begun = session.recordings.start()
+    assert (begun.state, begun.end, begun.num_frames) == ("waiting", "unspecified", 0)
+    assert session.recordings.start().recording_id == begun.recording_id
+    scans(session, range(2, 7))
+    info = session.info()
+    assert (info.recorded, info.recording.state, info.recording.recording_id) == (True, "running", begun.recording_id)
+    assert session.recordings.start().recording_id == begun.recording_id
+    with pytest.raises(FailedPrecondition, match="stop it first") as refused:
+        session.recordings.delete(begun.recording_id)
+    assert (refused.value.reason, refused.value.field) == ("RECORDING_UNDER_WAY", "recording_id")
+    (listed,) = session.recordings.list()
+    assert (listed.recording_id, listed.open) == (begun.recording_id, True)
+
+    ended = session.recordings.stop()
+    assert (ended.state, ended.end, ended.num_frames, ended.num_files) == ("ended", "stopped", 5, 1)
+    assert ended.dropped.num_too_slow == ended.dropped.num_no_shared_room == ended.dropped.num_unwritable == 0
+    assert session.recordings.stop().recording_id == ended.recording_id
+    scans(session, range(7, 9))
+    assert not session.info().recorded
+    folder = tmp_path / "recorded" / ended.folder
+    assert folder == only(tmp_path / "recorded", session.session_id)
+    assert num_scans(folder) == 5
+    (listed,) = session.recordings.list()
+    assert (listed.num_bytes, listed.open) == (ended.num_bytes, False)
+    (file,) = listed.files
+    assert (file.name, file.num_bytes) == ("recording_0000.mcap", (folder / "recording_0000.mcap").stat().st_size)
+    assert listed.last_write_time_ns >= ended.start_time_ns
+
+    again = session.recordings.start()
+    assert int(again.recording_id) > int(ended.recording_id)
+    scans(session, range(9, 11))
+    session.recordings.stop()
+    assert [r.recording_id for r in session.recordings.list(page_size=1)] == [ended.recording_id, again.recording_id]
+    session.recordings.delete(ended.recording_id)
+    assert not folder.exists()
+    assert [r.recording_id for r in session.recordings.list()] == [again.recording_id]
+    for none in (ended.recording_id, "..", "0", "x", ""):
+        with pytest.raises(NotFound) as refused:
+            session.recordings.delete(none)
+        assert refused.value.reason == "RECORDING_NOT_FOUND"
+
+
+def test_what_cannot_be_recorded_is_told_with_a_remedy(start, tmp_path):
+    server, client = start()
+    session = client.sessions.create(sensors=[world.LASER])
+    calls = (
+        session.recordings.start,
+        session.recordings.stop,
+        lambda: list(session.recordings.list()),
+        lambda: session.recordings.delete("1"),
+    )
+    for call in calls:
+        with pytest.raises(FailedPrecondition, match="--record FOLDER") as refused:
+            call()
+        assert refused.value.reason == "RECORDING_OFF"
+    assert not session.info().recorded
+
+    server.kill()
+    _, client = start(*by_call(tmp_path))
+    counted = client.sessions.create(mode="ingest_only", sensors=[world.LASER])
+    with pytest.raises(FailedPrecondition, match="mode is INGEST_ONLY") as refused:
+        counted.recordings.start()
+    assert refused.value.reason == "SESSION_NOT_MAPPING"
+    with pytest.raises(FailedPrecondition, match="start it first") as refused:
+        counted.recordings.stop()
+    assert refused.value.reason == "NOT_RECORDED"
+    unknown = client.session("unknown")
+    for call in (unknown.recordings.start, unknown.recordings.stop, lambda: list(unknown.recordings.list())):
+        with pytest.raises(NotFound) as refused:
+            call()
+        assert refused.value.reason == "SESSION_NOT_FOUND"
+
+
+def test_whose_the_session_is_alone_has_its_recordings(start, tmp_path):
+    keys = tmp_path / "keys.json"
+
+    def key(tenant: str, scope: str) -> str:
+        given = ("--file", keys, "--name", tenant + scope, "--tenant", tenant, "--scope", scope)
+        return subprocess.check_output([binary(), "keys", "create", *given], text=True).strip()
+
+    ours, reader, theirs = key("ours", "admin"), key("ours", "read"), key("theirs", "admin")
+    server, _ = start(*by_call(tmp_path, f'[auth]\nmode = "required"\nkeys_file = "{keys}"\n'), zenoh="")
+    session = Client(server.grpc, token=ours).sessions.create("robot-7", sensors=[world.LASER])
+    session.recordings.start()
+    scans(session, range(2))
+    stranger = Client(server.grpc, token=theirs).session("robot-7").recordings
+    for call in (stranger.start, stranger.stop, lambda: list(stranger.list()), lambda: stranger.delete("1")):
+        with pytest.raises(NotFound) as refused:
+            call()
+        assert refused.value.reason == "SESSION_NOT_FOUND"
+    seen = Client(server.grpc, token=reader).session("robot-7")
+    assert seen.info().recording.folder.startswith("ours/robot-7/")
+    assert [r.open for r in seen.recordings.list()] == [True]
+    for call in (seen.recordings.start, seen.recordings.stop, lambda: seen.recordings.delete("1")):
+        with pytest.raises(Exception, match="this needs") as denied:
+            call()
+        assert denied.value.reason == "PERMISSION_DENIED"
+
+
+def test_a_recording_by_call_goes_on_after_sleep_and_not_after_a_restart(start, tmp_path):
+    arguments = by_call(tmp_path, "[limits]\nsleep_after_s = 1\n")
+    server, client = start(*arguments)
+    session = client.sessions.create(sensors=[world.LASER])
+    first = session.recordings.start()
+    scans(session, range(3))
+    assert eventually(lambda: session.info().state == "asleep", seconds=30)
+    info = session.info()
+    assert (info.recorded, info.recording.state, info.recording.end) == (True, "ended", "slept")
+    scans(session, range(3, 6))
+    assert session.info().recording.recording_id != first.recording_id
+    assert server.stop() == 0
+    server, client = start(*arguments)
+    session = client.session(session.session_id)
+    scans(session, range(6, 8))
+    assert not session.info().recorded
+    assert session.info().recording is None
+    stored = list(session.recordings.list())
+    assert len(stored) >= 2
+    folders = [tmp_path / "recorded" / "default" / session.session_id / r.recording_id for r in stored]
+    assert sum(num_scans(folder) for folder in folders) == 6
+
+
+def test_what_is_configured_is_stopped_and_started_by_calls_too(start, tmp_path):
+    _, client = start("--record", str(tmp_path / "recorded"))
+    session = client.sessions.create(sensors=[world.LASER])
+    assert session.info().recorded
+    scans(session, range(2))
+    assert session.recordings.stop().num_frames == 2
+    scans(session, range(2, 4))
+    session.recordings.start()
+    scans(session, range(4, 7))
+    assert session.recordings.stop().num_frames == 3
+
+
+def test_two_sessions_are_recorded_at_once_and_a_deleted_one_leaves_its_files(start, tmp_path):
+    server, client = start(*by_call(tmp_path))
+    one, other = (client.sessions.create(sensors=[world.LASER]) for _ in range(2))
+    folders = [tmp_path / "recorded" / session.recordings.start().folder for session in (one, other)]
+    for i in range(4):
+        scans(one, range(i, i + 1))
+        scans(other, range(i, i + 1))
+    one.delete()
+
+    def is_whole(recording: pathlib.Path) -> bool:
+        return all(file.read_bytes().endswith(MCAP_MAGIC) for file in recording.glob("*.mcap"))
+
+    # It ends when the deletion is through, which the caller does not wait for.
+    assert eventually(lambda: is_whole(folders[0]), seconds=30)
+    assert num_scans(folders[0]) == 4
+    with pytest.raises(NotFound):
+        one.recordings.stop()
+    scans(other, range(4, 6))
+    ended = other.recordings.stop()
+    assert (ended.num_frames, num_scans(folders[1])) == (6, 6)
+    assert server.stop() == 0
+
+
+def test_a_disk_without_room_is_told_and_harms_no_session(start, tmp_path):
+    _, client = start(*by_call(tmp_path, f"min_free_mb = {1 << 40}\n"))
+    session = client.sessions.create(sensors=[world.LASER])
+    session.recordings.start()
+    scans(session, range(2))
+    assert eventually(lambda: session.info().recording.end == "disk_full", seconds=30)
+    info = session.info()
+    assert (info.recorded, info.recording.state) == (False, "ended")
+    assert "make room" in info.recording.end_message
+    scans(session, range(2, 4))
+    assert session.info().recording.dropped.num_after_end > 0
+    assert session.recordings.stop().end == "disk_full"
+
+
+def test_rest_the_command_line_and_the_async_client_record_too(start, tmp_path):
+    server, client = start(*by_call(tmp_path))
+    session = client.sessions.create("robot-7", sensors=[world.LASER])
+    url = "/v1/sessions/robot-7/recordings"
+    with httpx.Client(base_url=server.rest_url, timeout=30) as http:
+        paths = http.get("/openapi.json").json()["paths"]
+        described = "/v1/sessions/{session_id}/recordings"
+        assert set(paths[described]) == {"get"}
+        assert "post" in paths[f"{described}/start"]
+        assert "post" in paths[f"{described}/stop"]
+        assert "delete" in paths[described + "/{recording_id}"]
+        assert http.post(f"{url}/stop", json={}).json()["reason"] == "NOT_RECORDED"
+        begun = http.post(f"{url}/start", json={}).json()["recording"]
+        assert begun["state"] == "RECORDING_STATE_WAITING"
+        scans(session, range(3))
+        assert http.delete(f"{url}/{begun['recording_id']}").status_code == 409
+        assert http.get("/v1/sessions/robot-7").json()["session"]["recorded"] is True
+        assert http.post(f"{url}/stop", json={}).json()["recording"]["num_frames"] == "3"
+        assert len(http.get(url).json()["recordings"]) == 1
+        assert http.delete(f"{url}/{begun['recording_id']}").status_code == 200
+        assert http.delete(f"{url}/{begun['recording_id']}").status_code == 404
+
+    def record(*arguments: str) -> subprocess.CompletedProcess:
+        command = [binary(), "record", *arguments, "--server", server.grpc]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+    assert record("start", "robot-7").returncode == 0
+    scans(session, range(3, 5))
+    stopped = record("stop", "robot-7")
+    assert "2 frames, 1 file" in stopped.stdout, stopped
+    (line,) = record("list", "robot-7", "--json").stdout.splitlines()
+    recording_id = json.loads(line)["recording_id"]
+    assert record("delete", "robot-7", recording_id).returncode == 0
+    assert record("list", "robot-7").stdout == ""
+    refused = record("delete", "robot-7", recording_id)
+    assert (refused.returncode, recording_id in refused.stderr) == (1, True)
+
+    async def run() -> int:
+        async with AsyncClient(server.grpc) as other:
+            recordings = other.session("robot-7").recordings
+            await recordings.start()
+            scans(session, range(5, 9))
+            ended = await recordings.stop()
+            assert [r.recording_id async for r in recordings.list()] == [ended.recording_id]
+            await recordings.delete(ended.recording_id)
+            return ended.num_frames
+
+    assert asyncio.run(run()) == 4

@@ -25,6 +25,7 @@ mod local;
 mod plan;
 mod plot;
 mod prepare;
+mod record;
 mod reload;
 mod replay;
 mod report;
@@ -73,6 +74,9 @@ enum Command {
     Fly(fly::FlyArgs),
     /// Begin a session of a running server with a map that comes from elsewhere.
     ImportMap(import_map::ImportMapArgs),
+    /// Begin, end, list and remove recordings of a running server's sessions.
+    #[command(subcommand)]
+    Record(record::RecordCommand),
     /// Measure against ground truth.
     #[command(subcommand)]
     Eval(eval::EvalCommand),
@@ -120,6 +124,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Frontiers(args) => explore::frontiers(args),
         Command::Fly(args) => fly::run(args),
         Command::ImportMap(args) => import_map::run(args),
+        Command::Record(command) => record::run(command),
         Command::Eval(command) => eval::run(command),
         Command::Bench(args) => bench::run(args),
         Command::Keys(command) => keys::run(command),

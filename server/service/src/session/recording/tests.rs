@@ -3,7 +3,8 @@
 use super::super::recordings::RecordingSettings;
 use super::*;
 use nalgebra::Vector3;
-use percept_geometry::{ImuSample, Pose, SensorData, SensorKind, Timestamp};
+use percept_geometry::sensor::ImuSample;
+use percept_geometry::{Pose, SensorData, SensorKind, Timestamp};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
