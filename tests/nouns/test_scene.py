@@ -109,3 +109,23 @@ def test_what_was_taken_away_is_gone_within_three_seconds_and_does_not_come_back
     assert not any(told[10:]), [len(of) for of in told]
     others = [o.label for o in session.scene.objects() if o.state != "gone"]
     assert sorted(others) == ["chair", "shelf", "table"], others
+
+
+def test_what_a_camera_that_turns_by_saw_go_is_gone_within_three_seconds(client):
+    # Rounds of twelve seconds; in the second one the camera passes the place within two, with a keyframe or two.
+    low, high = world.FURNITURE[world.CHEST]
+    left = [thing for i, thing in enumerate(world.FURNITURE) if i != world.CHEST]
+    session = client.sessions.create(sensors=[world.CAMERA])
+    poses = world.circle(180)
+    place = (np.linalg.inv(poses[0].matrix) @ np.append((low + high) / 2, 1))[:2]
+    told = {}
+    # More than half of it is in the picture from the tenth frame of a round to the thirtieth.
+    for i, pose in enumerate([*poses, *poses[:60]]):
+        furniture = world.FURNITURE if i < 180 else left
+        depth = world.depth_image(pose, furniture=furniture)
+        session.send_depth("camera", stamp_ns=world.stamp(i), depth=depth, metres_per_unit=0.001)
+        if i in (179, 189) or i >= 190 + 45:
+            near = [o for o in session.scene.objects() if np.linalg.norm(o.box.centre[:2] - place) < 0.4]
+            told[i] = [o.label for o in near if o.state != "gone"]
+    assert told.pop(179) and told.pop(189), "the chest was never found"
+    assert not any(told.values()), told

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from percept import InvalidArgument, PointCloud, Pose, ResourceExhausted
+from percept import InvalidArgument, PointCloud, Pose, ResourceExhausted, Step
 
 from support import world
 
@@ -96,6 +96,29 @@ def test_planes_are_found_with_their_points(client, rng):
     assert (np.diff(planes[0].indices.astype(int)) > 0).all()
     again = client.toolbox.segment_planes(np.vstack([floor, wall]), max_planes=2, seed=3)
     assert again == planes
+
+
+def test_planes_are_named_by_what_is_up_and_say_how_far_they_are_from_level(client, rng):
+    floor = plane_points(rng, 3000, size=4.0)
+    wall = plane_points(rng, 1500)[:, [2, 0, 1]] + np.array([2, 0, 1.2], np.float32)
+    cloud = np.vstack([floor, wall])
+    # As a camera's optical frame has it: x right, y down, z ahead.
+    optical = cloud[:, [1, 2, 0]] * np.array([-1, -1, 1], np.float32)
+    found = client.toolbox.segment_planes(optical, max_planes=2, seed=3)
+    assert "floor" not in [p.kind for p in found]
+    found = client.toolbox.segment_planes(optical, max_planes=2, seed=3, up=(0, -3, 0))
+    assert [p.kind for p in found] == ["floor", "wall"]
+    assert [p.tilt_rad for p in found] == pytest.approx([0, np.pi / 2], abs=0.01)
+    # Twenty degrees off: nothing is what it is, and why is said.
+    turned = client.toolbox.segment_planes(optical, max_planes=2, seed=3, up=(np.sin(0.35), -np.cos(0.35), 0))
+    assert turned[0].kind == "other"
+    assert turned[0].tilt_rad == pytest.approx(0.35, abs=0.01)
+    step = Step("segment_planes", max_planes=2, seed=3, up=(0, -1, 0))
+    assert [p.kind for p in client.toolbox.run_pipeline(optical, [step]).steps[0]] == ["floor", "wall"]
+    for bad in ((0, 0, 0), (0, float("nan"), 0)):
+        with pytest.raises(InvalidArgument) as error:
+            client.toolbox.segment_planes(optical, up=bad)
+        assert (error.value.reason, error.value.field) == ("OUT_OF_RANGE", "up")
 
 
 @pytest.mark.parametrize("method", ["euclidean", "dbscan"])

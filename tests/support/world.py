@@ -53,8 +53,8 @@ LIDAR = SensorSpec(
 )
 
 
-#: What may be taken away.
-CRATE = 2
+#: What may be taken away: what a camera sees from across the room, and what a lidar sees.
+CHEST, CRATE = 0, 2
 
 
 def cast(origin: np.ndarray, directions: np.ndarray, furniture: list = FURNITURE) -> np.ndarray:
@@ -69,12 +69,12 @@ def cast(origin: np.ndarray, directions: np.ndarray, furniture: list = FURNITURE
     return hit
 
 
-def depth_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS) -> np.ndarray:
+def depth_image(t_world_base: Pose, camera: CameraIntrinsics = INTRINSICS, furniture: list = FURNITURE) -> np.ndarray:
     """(H, W) uint16 millimetres along the optical axis."""
     t_world_camera = t_world_base.matrix @ CAMERA.t_base_sensor.matrix
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
     rays = np.stack([(u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px, np.ones(u.shape)], axis=-1)
-    z = cast(t_world_camera[:3, 3], rays @ t_world_camera[:3, :3].T)
+    z = cast(t_world_camera[:3, 3], rays @ t_world_camera[:3, :3].T, furniture)
     return np.round(z * 1000).astype(np.uint16)
 
 
@@ -138,14 +138,14 @@ def drive(steps: int) -> list[Pose]:
 ROUND = 45
 
 
-def circle() -> list[Pose]:
-    """World poses of one round within the room, 1.15 m from its middle: 16 cm and 8 degrees a step."""
+def circle(num_steps: int = ROUND) -> list[Pose]:
+    """World poses of one round within the room, 1.15 m from its middle: 16 cm and 8 degrees a step if there are 45."""
     poses, x, y, yaw = [], -0.8, -1.1, 0.0
-    for _ in range(ROUND):
+    for _ in range(num_steps):
         poses.append(Pose.from_xy_yaw(x, y, yaw))
-        yaw += np.radians(4.0)
-        x, y = x + 0.16 * np.cos(yaw), y + 0.16 * np.sin(yaw)
-        yaw += np.radians(4.0)
+        yaw += np.pi / num_steps
+        x, y = x + 7.2 / num_steps * np.cos(yaw), y + 7.2 / num_steps * np.sin(yaw)
+        yaw += np.pi / num_steps
     return poses
 
 

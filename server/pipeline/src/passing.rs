@@ -2,14 +2,16 @@
 //!
 //! A keyframe is made of each half metre that the robot drives: who walks past one that stands is in none. So each 0.15 s
 //! the newest frame of each sensor is looked through; what was found enters at the first frame that is [`DELAY_S`] younger.
+//!
+//! The same frames say what has gone from where it stood: a camera that turns past the place makes one keyframe or two of it.
 
 use crate::beside::{Executor, Task};
 use crate::live::News;
 use crate::visibility::Beams;
 use nalgebra::Point3;
-use percept_geometry::{Pose, SensorId, Timestamp};
+use percept_geometry::{OrientedBox3, Pose, SensorId, Timestamp};
 use percept_perception::detection::find_passing;
-use percept_scene::{ObjectChange, Observation, Tracker};
+use percept_scene::{ObjectChange, ObjectId, Observation, Tracker, Visibility};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -17,6 +19,12 @@ use std::sync::Arc;
 const EVERY_S: f64 = 0.15;
 /// What was found is taken in so many seconds after the frame: a look takes some milliseconds.
 const DELAY_S: f64 = 0.1;
+/// A thing is gone when frames have seen through its place so many times, with none between them in which something was there,
+const EMPTY_LOOKS: u32 = 5;
+/// over so long, seconds, as the tracker waits with keyframes,
+const EMPTY_S: f64 = 1.0;
+/// and within so long: what was seen before is forgotten.
+const EMPTY_WITHIN_S: f64 = 10.0;
 
 /// Looks at frames that are not taken in yet.
 #[derive(Default)]
@@ -25,6 +33,8 @@ pub(crate) struct Passing {
     looks: VecDeque<Look>,
     /// Stamp of the newest frame that each sensor was looked through.
     newest: BTreeMap<SensorId, Timestamp>,
+    /// Since when frames see through the place of a thing that stands, and how many have.
+    empty: BTreeMap<ObjectId, (Timestamp, u32)>,
 }
 
 struct Look {
@@ -32,11 +42,16 @@ struct Look {
     task: Task<Found>,
 }
 
+/// Things that stand near a sensor, with their boxes in the map frame.
+pub(crate) type Standing = Vec<(ObjectId, OrientedBox3)>;
+
 /// What a frame shows.
 struct Found {
     observations: Vec<Observation>,
     t_map_base: Pose,
     beams: Beams,
+    /// What it shows of things that stand, where it shows anything.
+    standing: Vec<(ObjectId, Visibility)>,
 }
 
 impl Passing {
@@ -46,15 +61,16 @@ impl Passing {
         self.newest.get(sensor).is_none_or(|newest| !(0.0..EVERY_S).contains(&stamp.seconds_since(*newest)))
     }
 
-    /// Begins to look through a frame.
+    /// Begins to look through a frame, at `standing`, too.
     pub(crate) fn look(
         &mut self,
         (sensor, stamp): (&SensorId, Timestamp),
         executor: Option<&Arc<dyn Executor>>,
+        standing: Standing,
         news: impl FnOnce() -> News + Send + 'static,
     ) {
         self.newest.insert(sensor.clone(), stamp);
-        self.looks.push_back(Look { stamp, task: Task::begin(executor, move || Found::of(&news())) });
+        self.looks.push_back(Look { stamp, task: Task::begin(executor, move || Found::of(&news(), &standing)) });
     }
 
     /// Whether something was begun and not taken in.
@@ -67,7 +83,13 @@ impl Passing {
         let (mut was_asked, mut changes) = (false, vec![]);
         let is_due = |look: &mut Look| frame.is_none_or(|now| now >= look.stamp.plus_seconds(DELAY_S));
         while let Some(look) = self.looks.pop_front_if(is_due) {
-            let Found { observations, t_map_base, beams } = look.task.finished();
+            let Found { observations, t_map_base, beams, standing } = look.task.finished();
+            for (id, looked) in standing {
+                if self.is_gone(id, looked, look.stamp) {
+                    changes.extend(tracker.take_away(id, look.stamp));
+                    was_asked = true;
+                }
+            }
             if observations.is_empty() && !tracker.has_passing() {
                 continue;
             }
@@ -77,10 +99,27 @@ impl Passing {
         }
         (was_asked, changes)
     }
+
+    /// Whether a thing is not where it stood any more, once a frame has looked at its place.
+    fn is_gone(&mut self, id: ObjectId, looked: Visibility, stamp: Timestamp) -> bool {
+        if looked != Visibility::SeenThrough {
+            self.empty.remove(&id);
+            return false;
+        }
+        // Who goes back in time begins anew.
+        self.empty.retain(|_, (since, _)| (0.0..EMPTY_WITHIN_S).contains(&stamp.seconds_since(*since)));
+        let (since, looks) = self.empty.entry(id).or_insert((stamp, 0));
+        *looks += 1;
+        let is_gone = *looks >= EMPTY_LOOKS && stamp.seconds_since(*since) >= EMPTY_S;
+        if is_gone {
+            self.empty.remove(&id);
+        }
+        is_gone
+    }
 }
 
 impl Found {
-    fn of(news: &News) -> Self {
+    fn of(news: &News, standing: &Standing) -> Self {
         let floor_z = news.t_map_base.translation.vector.z - news.scan.base_height_m;
         let viewer = news.t_map_base * Point3::from(news.scan.t_base_sensor.translation.vector);
         let things = find_passing(&news.points, &viewer, floor_z);
@@ -93,6 +132,8 @@ impl Found {
             is_seen: true,
         });
         let beams = Beams::new(&news.scan);
-        Self { observations: observations.collect(), t_map_base: news.t_map_base, beams }
+        let looked = standing.iter().map(|(id, bbox)| (*id, beams.visibility(&news.t_map_base, bbox)));
+        let standing = looked.filter(|(_, looked)| *looked != Visibility::Unseen).collect();
+        Self { observations: observations.collect(), t_map_base: news.t_map_base, beams, standing }
     }
 }

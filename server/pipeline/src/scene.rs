@@ -268,13 +268,16 @@ impl Scene {
         self.settings.enabled && self.outdoor.is_none() && self.passing.is_due(sensor, stamp)
     }
 
-    /// Begins to look for what passes in what a frame shows in free space.
+    /// Begins to look for what passes in what a frame shows in free space, and for what is gone from around `t_map_base`, from where
+    /// it was taken.
     pub(crate) fn look_for_passing(
         &mut self,
         of: (&SensorId, Timestamp),
+        t_map_base: &Pose,
         news: impl FnOnce() -> News + Send + 'static,
     ) {
-        self.passing.look(of, self.executor.as_ref(), news);
+        let standing = self.tracker.standing_near(&Point3::from(t_map_base.translation.vector), self.settings.range_m);
+        self.passing.look(of, self.executor.as_ref(), standing, news);
     }
 
     /// Takes in what was found and is due at a frame; all that was begun, if there is none. `keyframes` are where they are now.

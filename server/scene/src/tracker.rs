@@ -6,6 +6,7 @@ use crate::{
     Object, ObjectChange, ObjectChangeKind, ObjectId, ObjectState, Observation, SceneError, TrackerParams, Visibility,
     overlap,
 };
+use nalgebra::Point3;
 use percept_geometry::{OrientedBox3, Pose, Timestamp, se3};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -58,6 +59,36 @@ impl Tracker {
     pub fn passing_boxes(&self, stamp: Timestamp) -> Vec<OrientedBox3> {
         let moving = self.tracks.iter().filter(|t| t.is_passing && t.state == ObjectState::Moving);
         moving.map(|t| t.predicted(stamp, self.params.coast_s)).collect()
+    }
+
+    /// What is known to stand, its centre within `range_m` of a point in the map, with its box.
+    pub fn standing_near(&self, center: &Point3<f64>, range_m: f64) -> Vec<(ObjectId, OrientedBox3)> {
+        let is_near = |t: &&Track| (t.bbox.center() - center).norm_squared() <= range_m * range_m;
+        let standing = self.tracks.iter().filter(|t| t.state == ObjectState::Static && !t.is_passing);
+        standing.filter(is_near).filter_map(|t| Some((t.id?, t.bbox))).collect()
+    }
+
+    /// Notes at `stamp` that what stood is not where it was any more: its place was seen through for long enough by whoever asks.
+    /// Nothing, if it does not stand.
+    pub fn take_away(&mut self, id: ObjectId, stamp: Timestamp) -> Vec<ObjectChange> {
+        let stands = |t: &Track| t.id == Some(id) && t.state == ObjectState::Static && !t.is_passing;
+        let Some(i) = self.tracks.iter().position(stands) else { return vec![] };
+        let mut changes: Vec<ObjectChange> = self.become_gone(i, stamp).into_iter().collect();
+        if changes.is_empty() {
+            self.remove(&[i]);
+        }
+        self.tell_of_wholes(&mut changes);
+        changes
+    }
+
+    /// What a confirmed track that is gone tells; none if people had deleted it: what stands there from now on is something else, and
+    /// the track is to be removed.
+    fn become_gone(&mut self, i: usize, stamp: Timestamp) -> Option<ObjectChange> {
+        let track = &mut self.tracks[i];
+        track.state = ObjectState::Gone;
+        track.remember_at(stamp);
+        let id = track.id.filter(|_| !track.annotation.is_deleted)?;
+        Some(ObjectChange { id, kind: ObjectChangeKind::Gone })
     }
 
     /// The number that the next object will get.
@@ -192,13 +223,13 @@ impl Tracker {
                 removed.push(self.merge(i, whole, changes));
                 continue;
             }
-            let Some(id) = track.id else {
+            if track.id.is_none() {
                 let late = stamp.seconds_since(track.last_seen) > self.params.tentative_timeout_s;
                 if late || looked == Visibility::SeenThrough {
                     removed.push(i);
                 }
                 continue;
-            };
+            }
             let missed_s = stamp.seconds_since(track.last_seen);
             let was_seen_through =
                 track.seen_through >= self.params.gone_observations && missed_s >= self.params.gone_after_s;
@@ -206,14 +237,10 @@ impl Tracker {
             let has_gone_on =
                 track.state == ObjectState::Moving && missed_s > self.params.coast_s + self.params.gone_after_s;
             if was_seen_through || has_gone_on {
-                track.state = ObjectState::Gone;
-                track.remember_at(stamp);
-                if track.annotation.is_deleted {
-                    // What stands there from now on is something else.
-                    removed.push(i);
-                    continue;
+                match self.become_gone(i, stamp) {
+                    Some(change) => changes.push(change),
+                    None => removed.push(i),
                 }
-                changes.push(ObjectChange { id, kind: ObjectChangeKind::Gone });
             }
         }
         removed.sort_unstable();

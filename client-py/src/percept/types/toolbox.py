@@ -126,6 +126,8 @@ class PlaneSegment(Value):
     #: In the frame of the input.
     plane: Plane
     kind: PlaneKind
+    #: Between its normal and up, radians: 0 lies level, pi/2 stands.
+    tilt_rad: float = 0.0
     #: Of its points in the input, ascending, (M,) uint32.
     indices: npt.NDArray[np.uint32]
 

@@ -105,6 +105,7 @@ class SegmentPlanesRequest(_message.Message):
     MIN_POINTS_FIELD_NUMBER: _builtins.int
     SEED_FIELD_NUMBER: _builtins.int
     EARLY_STOP_FIELD_NUMBER: _builtins.int
+    UP_FIELD_NUMBER: _builtins.int
     distance_m: _builtins.float
     """Inliers are nearer than this, metres. Absent: 0.02."""
     max_iterations: _builtins.int
@@ -119,6 +120,12 @@ class SegmentPlanesRequest(_message.Message):
     """Stop drawing when a better plane has become improbable. Absent: true."""
     @_builtins.property
     def cloud(self) -> _toolbox_pb2.CloudSource: ...
+    @_builtins.property
+    def up(self) -> _geometry_pb2.Vector3:
+        """Against gravity in the cloud's frame, of any length but 0; floor, wall, ceiling and table are told by it. A cloud in a camera's
+        optical frame has (0, -1, 0). Absent: (0, 0, 1). 0: OUT_OF_RANGE.
+        """
+
     def __init__(
         self,
         *,
@@ -129,10 +136,11 @@ class SegmentPlanesRequest(_message.Message):
         min_points: _builtins.int | None = ...,
         seed: _builtins.int = ...,
         early_stop: _builtins.bool | None = ...,
+        up: _geometry_pb2.Vector3 | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m", "_early_stop", b"_early_stop", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "distance_m", b"distance_m", "early_stop", b"early_stop", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m", "_early_stop", b"_early_stop", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "_up", b"_up", "cloud", b"cloud", "distance_m", b"distance_m", "early_stop", b"early_stop", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "up", b"up"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m", "_early_stop", b"_early_stop", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "cloud", b"cloud", "distance_m", b"distance_m", "early_stop", b"early_stop", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "seed", b"seed"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m", "_early_stop", b"_early_stop", "_max_iterations", b"_max_iterations", "_max_planes", b"_max_planes", "_min_points", b"_min_points", "_up", b"_up", "cloud", b"cloud", "distance_m", b"distance_m", "early_stop", b"early_stop", "max_iterations", b"max_iterations", "max_planes", b"max_planes", "min_points", b"min_points", "seed", b"seed", "up", b"up"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__distance_m: _TypeAlias = _typing.Literal["distance_m"]  # noqa: Y015
     _WhichOneofArgType__distance_m: _TypeAlias = _typing.Literal["_distance_m", b"_distance_m"]  # noqa: Y015
@@ -144,6 +152,8 @@ class SegmentPlanesRequest(_message.Message):
     _WhichOneofArgType__max_planes: _TypeAlias = _typing.Literal["_max_planes", b"_max_planes"]  # noqa: Y015
     _WhichOneofReturnType__min_points: _TypeAlias = _typing.Literal["min_points"]  # noqa: Y015
     _WhichOneofArgType__min_points: _TypeAlias = _typing.Literal["_min_points", b"_min_points"]  # noqa: Y015
+    _WhichOneofReturnType__up: _TypeAlias = _typing.Literal["up"]  # noqa: Y015
+    _WhichOneofArgType__up: _TypeAlias = _typing.Literal["_up", b"_up"]  # noqa: Y015
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__distance_m) -> _WhichOneofReturnType__distance_m | None: ...
     @_typing.overload
@@ -154,6 +164,8 @@ class SegmentPlanesRequest(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__max_planes) -> _WhichOneofReturnType__max_planes | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__min_points) -> _WhichOneofReturnType__min_points | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__up) -> _WhichOneofReturnType__up | None: ...
 
 Global___SegmentPlanesRequest: _TypeAlias = SegmentPlanesRequest  # noqa: Y015
 
@@ -166,8 +178,13 @@ class PlaneSegment(_message.Message):
     PLANE_FIELD_NUMBER: _builtins.int
     KIND_FIELD_NUMBER: _builtins.int
     NUM_POINTS_FIELD_NUMBER: _builtins.int
+    TILT_RAD_FIELD_NUMBER: _builtins.int
     kind: Global___PlaneKind.ValueType
     num_points: _builtins.int
+    tilt_rad: _builtins.float
+    """Angle between its normal and up, radians, 0 to pi/2: 0 lies level, pi/2 stands. Only planes within 0.15 of either are more than
+    OTHER: where a floor has a larger one, up is not the cloud's.
+    """
     @_builtins.property
     def plane(self) -> _geometry_pb2.Plane: ...
     def __init__(
@@ -176,10 +193,11 @@ class PlaneSegment(_message.Message):
         plane: _geometry_pb2.Plane | None = ...,
         kind: Global___PlaneKind.ValueType = ...,
         num_points: _builtins.int = ...,
+        tilt_rad: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["plane", b"plane"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["kind", b"kind", "num_points", b"num_points", "plane", b"plane"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["kind", b"kind", "num_points", b"num_points", "plane", b"plane", "tilt_rad", b"tilt_rad"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

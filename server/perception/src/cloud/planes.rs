@@ -5,6 +5,7 @@ use super::{PlaneParams, PlaneSegment, at_least};
 use nalgebra::{Point3, Unit, Vector3};
 use percept_geometry::GeometryError;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_PI_2;
 
 /// What a plane is, by its direction and height.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -31,6 +32,8 @@ pub struct TypedPlane {
     pub segment: PlaneSegment,
     /// Height of its points' mean along `up`, metres.
     pub height_m: f64,
+    /// Angle between its normal and `up`, radians, from 0 (level) to a quarter turn (upright).
+    pub tilt_rad: f64,
 }
 
 /// How [`segment_planes`] searches and names.
@@ -80,14 +83,15 @@ pub fn segment_planes(
         left.remove(&places);
         let heights = segment.inliers.iter().map(|&i| up.dot(&points[i].coords.cast()));
         let height_m = heights.sum::<f64>() / segment.inliers.len() as f64;
-        out.push(TypedPlane { kind: PlaneKind::Other, segment, height_m });
+        let tilt_rad = segment.plane.normal.dot(up).abs().min(1.0).acos();
+        out.push(TypedPlane { kind: PlaneKind::Other, segment, height_m, tilt_rad });
     }
-    name(&mut out, up, params);
+    name(&mut out, params);
     Ok(out)
 }
 
-fn name(planes: &mut [TypedPlane], up: &Unit<Vector3<f64>>, params: &PlanesParams) {
-    let horizontal = |p: &TypedPlane| p.segment.plane.normal.dot(up).abs() >= params.max_tilt_rad.cos();
+fn name(planes: &mut [TypedPlane], params: &PlanesParams) {
+    let horizontal = |p: &TypedPlane| p.tilt_rad <= params.max_tilt_rad;
     let heights = || planes.iter().filter(|p| horizontal(p)).map(|p| p.height_m);
     let floor = heights().fold(f64::INFINITY, f64::min);
     let top = heights().fold(f64::NEG_INFINITY, f64::max);
@@ -102,7 +106,7 @@ fn name(planes: &mut [TypedPlane], up: &Unit<Vector3<f64>>, params: &PlanesParam
                 _ if (low..=high).contains(&above) => PlaneKind::Table,
                 _ => PlaneKind::Other,
             }
-        } else if plane.segment.plane.normal.dot(up).abs() <= params.max_tilt_rad.sin() {
+        } else if plane.tilt_rad >= FRAC_PI_2 - params.max_tilt_rad {
             PlaneKind::Wall
         } else {
             PlaneKind::Other
@@ -133,6 +137,8 @@ mod tests {
         let planes = segment_planes(&points, &Vector3::z_axis(), &PlanesParams::default()).unwrap();
         let kinds: Vec<PlaneKind> = planes.iter().map(|p| p.kind).collect();
         use PlaneKind::*;
+        let tilts = planes.iter().map(|p| (p.kind, p.tilt_rad));
+        assert!(tilts.filter(|(kind, _)| *kind == Floor).all(|(_, tilt)| tilt < 0.02));
         assert_eq!(kinds, [Floor, Ceiling, Wall, Wall, Table]);
         assert!((planes[4].height_m - 0.74).abs() < 0.01);
     }

@@ -7,6 +7,7 @@ use percept_geometry::{
 };
 use percept_mapping::{LiveParams, Occupancy};
 use percept_pipeline::{Pipeline, PipelineParams, Snapshot};
+use percept_scene::{Object, ObjectState};
 use std::f64::consts::{PI, TAU};
 
 /// A room of 8 x 6 m around the origin; upright round pillars `(x, y, radius)` stand in it.
@@ -252,6 +253,37 @@ fn walls_keep_their_thickness_though_a_frame_sees_them_in_the_next_cell() {
                 let (map, now) = at(&snapshot, x, y);
                 assert!(map <= 0.5 || now > 0.5, "{kind:?} at {x}, {y}: {map} {now}");
             }
+        }
+    }
+}
+
+/// Whether something is told to stand at a place, as seen from where the robot began.
+fn stands_at(snapshot: &Snapshot, x: f64, y: f64) -> bool {
+    let is_there = |o: &Object| (o.bbox.center().xy() - Point2::new(x, y)).norm() < 0.4;
+    snapshot.objects.iter().any(|o| o.state != ObjectState::Gone && is_there(o))
+}
+
+#[test]
+fn what_is_taken_away_before_a_robot_that_stands_is_gone_within_three_seconds() {
+    for kind in [SensorKind::Lidar3d, SensorKind::Depth] {
+        let mut robot = Robot::new(kind, PipelineParams::default());
+        let (empty, occupied) = (Room(vec![]), Room(vec![(2.5, 0.2, 0.4)]));
+        for i in 0..200 {
+            robot.sees(&occupied, (1.0 - (f64::from(i) * 0.05).cos()) * -0.75);
+        }
+        let there = robot.stands(&occupied, 50);
+        assert!(stands_at(&there, 2.5, 0.2), "{kind:?}: {:?}", there.objects);
+        // Whoever steps before it hides it.
+        let hidden = robot.stands(&Room(vec![(2.5, 0.2, 0.4), (1.2, 0.1, 0.4)]), 50);
+        assert!(stands_at(&hidden, 2.5, 0.2), "{kind:?}");
+        let keyframes = hidden.keyframes.len();
+        let gone = robot.stands(&empty, 30);
+        assert_eq!(gone.keyframes.len(), keyframes, "{kind:?}: who stands makes no keyframe");
+        assert!(!stands_at(&gone, 2.5, 0.2), "{kind:?}");
+        // Nor is what the map still has of it taken for a thing when the robot sets off.
+        for i in 0..100 {
+            robot.sees(&empty, (1.0 - (f64::from(i) * 0.05).cos()) * -0.75);
+            assert!(!stands_at(&robot.pipeline.snapshot(), 2.5, 0.2), "{kind:?}, {i}");
         }
     }
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from ... import _rpc
 from ..._call import Call
@@ -22,6 +23,7 @@ def segment_planes(
     min_points: int | None,
     seed: int,
     early_stop: bool | None,
+    up: npt.ArrayLike | None,
 ) -> Call[segmentation_pb.SegmentPlanesRequest, segmentation_pb.SegmentPlanesResponse, list[PlaneSegment]]:
     request = with_cloud(
         segmentation_pb.SegmentPlanesRequest,
@@ -32,6 +34,7 @@ def segment_planes(
         min_points=min_points,
         seed=seed,
         early_stop=early_stop,
+        up=up,
     )
     return Call(_rpc.SEGMENT_PLANES, request, planes)
 
@@ -42,6 +45,7 @@ def planes(answer: segmentation_pb.SegmentPlanesResponse) -> list[PlaneSegment]:
         PlaneSegment(
             plane=geometry.plane(p.plane),
             kind=words.word(PlaneKind, segmentation_pb.PlaneKind, p.kind),
+            tilt_rad=p.tilt_rad,
             indices=np.flatnonzero(labels == number).astype(np.uint32),
         )
         for number, p in enumerate(answer.planes)

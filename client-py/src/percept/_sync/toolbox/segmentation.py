@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import numpy.typing as npt
+
 from ..._convert.toolbox import segmentation as convert
 from ..._convert.toolbox.request import Cloud
 from ...types.scene import Detection
@@ -23,11 +25,14 @@ class Segmentation(Bound):
         min_points: int | None = None,
         seed: int = 0,
         early_stop: bool | None = None,
+        up: npt.ArrayLike | None = None,
     ) -> list[PlaneSegment]:
-        """Up to max_planes (1) planes by RANSAC, largest first; z is up. Inliers are nearer than distance_m
-        (0.02). Same seed, same answer; early_stop=False draws all max_iterations (1000)."""
+        """Up to max_planes (1) planes by RANSAC, largest first. Inliers are nearer than distance_m
+        (0.02). Same seed, same answer; early_stop=False draws all max_iterations (1000). Floor, wall, ceiling
+        and table are told by up, (3,), against gravity in the cloud's frame ((0, 0, 1)); (0, -1, 0) for a
+        camera's optical frame that looks ahead. Where all are "other", their tilt_rad says why."""
         call = convert.segment_planes(
-            cloud, distance_m, max_iterations, max_planes, min_points, seed, early_stop
+            cloud, distance_m, max_iterations, max_planes, min_points, seed, early_stop, up
         )
         return self._transport.call(call)
 

@@ -80,13 +80,12 @@ pub fn estimate_normals(
     Ok(PointCloud { normals: Some(normals), ..cloud.clone() })
 }
 
-/// Planes in turn, largest first; z is up.
+/// Planes in turn, largest first; `up` is against gravity in the cloud's frame.
 ///
 /// # Errors
 /// `OUT_OF_RANGE` naming the parameter.
-pub fn segment_planes(cloud: &PointCloud, params: &PlanesParams) -> Result<Vec<TypedPlane>> {
-    let up: Unit<Vector3<f64>> = Vector3::z_axis();
-    Ok(cloud::segment_planes(&cloud.positions, &up, params)?)
+pub fn segment_planes(cloud: &PointCloud, up: &Unit<Vector3<f64>>, params: &PlanesParams) -> Result<Vec<TypedPlane>> {
+    Ok(cloud::segment_planes(&cloud.positions, up, params)?)
 }
 
 /// Connected groups of points.

@@ -2,7 +2,7 @@
 
 use super::{Clustering, Environment, NormalOrientation, Region, Sample, Toolbox, clouds, regions, subsets};
 use crate::{Error, Result};
-use nalgebra::Point3;
+use nalgebra::{Point3, Unit, Vector3};
 use percept_geometry::{OrientedBox3, PointCloud, Pose};
 use percept_perception::cloud::{
     Clusters, NormalParams, PlanesParams, RadiusOutlierParams, ShapeFeatures, StatisticalOutlierParams, TypedPlane,
@@ -41,8 +41,8 @@ pub enum Step {
     Transform(Pose),
     /// [`clouds::estimate_normals`].
     EstimateNormals(NormalParams, NormalOrientation),
-    /// [`clouds::segment_planes`].
-    SegmentPlanes(PlanesParams, PlaneRemainder),
+    /// [`clouds::segment_planes`], with what is up.
+    SegmentPlanes(Unit<Vector3<f64>>, PlanesParams, PlaneRemainder),
     /// [`clouds::cluster_points`].
     ClusterPoints(Clustering),
     /// [`clouds::shape_features`] of each cluster, or of the whole cloud before any were found.
@@ -166,8 +166,8 @@ impl Toolbox {
                 bench.cloud = Arc::new(clouds::estimate_normals(&cloud, params, orientation)?);
                 Found::Nothing
             }
-            Step::SegmentPlanes(params, remainder) => {
-                let planes = clouds::segment_planes(&cloud, params)?;
+            Step::SegmentPlanes(up, params, remainder) => {
+                let planes = clouds::segment_planes(&cloud, up, params)?;
                 let inliers = planes.iter().flat_map(|p| p.segment.inliers.iter().copied());
                 bench.take(inliers, *remainder);
                 Found::Planes(planes)

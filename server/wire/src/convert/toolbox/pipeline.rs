@@ -54,7 +54,7 @@ fn step(s: &v1::PipelineStep) -> Result<Step> {
         }
         S::SegmentPlanes(r) => {
             bare!(r);
-            Step::SegmentPlanes(segmentation::planes_params(r), remainder(s.remainder)?)
+            Step::SegmentPlanes(segmentation::up(r)?, segmentation::planes_params(r), remainder(s.remainder)?)
         }
         S::ClusterPoints(r) => {
             bare!(r);

@@ -3,7 +3,8 @@
 use super::{bytes_of_labels, count, set};
 use crate::convert::{geometry, scene, unknown_enum};
 use crate::v1;
-use percept_geometry::OrientedBox3;
+use nalgebra::{Unit, Vector3};
+use percept_geometry::{GeometryError, OrientedBox3};
 use percept_perception::cloud::{
     ClusterParams, Clusters, DbscanParams, PlaneKind, PlaneParams, PlanesParams, ShapeFeatures, TypedPlane,
 };
@@ -20,6 +21,18 @@ pub fn planes_params(r: &v1::SegmentPlanesRequest) -> PlanesParams {
     set(&mut plane.min_points, count(r.min_points));
     set(&mut plane.early_stop, r.early_stop);
     PlanesParams { plane, max_planes: count(r.max_planes).unwrap_or(1), ..PlanesParams::default() }
+}
+
+/// What is up in the cloud's frame.
+///
+/// # Errors
+/// `OUT_OF_RANGE`: without a direction.
+pub fn up(r: &v1::SegmentPlanesRequest) -> Result<Unit<Vector3<f64>>> {
+    let Some(up) = &r.up else { return Ok(Vector3::z_axis()) };
+    let up = geometry::vector("up", up)?;
+    Unit::try_new(up, 1e-9).ok_or_else(|| {
+        GeometryError::OutOfRange { field: "up", value: up.norm(), requirement: "a direction: longer than 1e-9" }.into()
+    })
 }
 
 /// How points are clustered.
@@ -76,6 +89,7 @@ pub fn planes_to(planes: &[TypedPlane], num_points: usize) -> v1::SegmentPlanesR
         plane: Some(geometry::plane_to(&p.segment.plane)),
         kind: kind(p.kind).into(),
         num_points: p.segment.inliers.len() as u32,
+        tilt_rad: p.tilt_rad,
     };
     let mut labels = vec![None; num_points];
     for (number, plane) in planes.iter().enumerate() {

@@ -22,7 +22,7 @@ operations! {
 
 fn segment_planes(t: &Toolbox, r: v1::SegmentPlanesRequest) -> Result<v1::SegmentPlanesResponse> {
     let cloud = convert::cloud(t, "cloud", r.cloud.as_ref())?;
-    let planes = ops::segment_planes(&cloud, &segmentation::planes_params(&r))?;
+    let planes = ops::segment_planes(&cloud, &segmentation::up(&r)?, &segmentation::planes_params(&r))?;
     Ok(segmentation::planes_to(&planes, cloud.len()))
 }
 
