@@ -42,6 +42,8 @@ M = TypeVar("M", bound=Message)
 #: What zenoh itself replies in place of a peer that has the question, and does not answer it in time.
 _TIMEOUT = b"Timeout"
 
+#: A server that listens answers questions so soon after, seconds.
+ANSWERS_SOON_S = 1.0
 #: Results waiting for a slow reader; then the oldest go.
 MAX_UNREAD = 256
 
@@ -178,16 +180,20 @@ class SensorPublisher(_Peer, FrameSender[None]):
         try:
             if self._publishers and not self._closed:
                 # zenoh may drop what is still on its way when it closes. A question travels behind the
-                # frames: its answer says that they have arrived.
-                for _ in self._zenoh.get(
-                    self._key("sensors"),
-                    timeout=self._timeout_s,
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                ):
-                    pass
+                # frames: its answer says that they have arrived. Where nobody answers at once it is asked
+                # again: in a network that has just come together, frames are heard before questions are.
+                deadline = time.monotonic() + min(self._timeout_s, ANSWERS_SOON_S)
+                while not self._is_answered() and time.monotonic() < deadline:
+                    time.sleep(0.02)
         finally:
             self._closed = True
             super().close()
+
+    def _is_answered(self) -> bool:
+        question = self._zenoh.get(
+            self._key("sensors"), timeout=self._timeout_s, congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        return bool([*question])
 
     def _declare(self, sensor_id: str) -> Any:  # noqa: ANN401
         key = self._key(f"{sensor_id}/frame")
