@@ -120,14 +120,13 @@ impl OccupancyGrid {
 
     fn apply_planar(&mut self, marks: &PlanarMarks) {
         let tiles = Arc::make_mut(&mut self.tiles);
-        for tile in &marks.tiles {
+        for tile in marks.tiles() {
             let cells = Arc::make_mut(tiles.entry(tile.key).or_default()).cells(&self.params);
             for (row, cells) in cells.chunks_mut(TILE as usize).enumerate() {
                 tile.visit_row(row, marks.heights, |x, mark| cells[x].add(mark, true, &self.params));
-                let y = tile.key.1 * TILE + row as i32;
-                for x in tile.columns(row).into_iter().flat_map(|(first, last)| [first, last]) {
-                    grow(&mut self.bounds, Cell::new(tile.key.0 * TILE + x, y));
-                }
+            }
+            for cell in tile.bounds().into_iter().flat_map(|(low, high)| [low, high]) {
+                grow(&mut self.bounds, cell);
             }
         }
         for (cell, heights) in &marks.driven {

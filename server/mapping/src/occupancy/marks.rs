@@ -4,7 +4,6 @@ use super::OccupancyParams;
 use super::mark::{Heights, Mark};
 use super::planar::PlanarMarks;
 use nalgebra::{Point2, Point3};
-use percept_geometry::grid::walk;
 use percept_geometry::{Cell, GridGeometry};
 
 /// What one keyframe says about the cells around its sensor: a square window of marks, as far as it saw.
@@ -108,31 +107,6 @@ impl Frame<'_> {
     pub(super) fn hit_at(&self, update: &mut ScanUpdate, end: &Point2<f64>, heights: Heights) {
         if let Some(cell) = self.geometry.cell(end) {
             update.mark(cell, Mark::Hit(heights));
-        }
-    }
-
-    /// Frees the cells from the sensor to `end`, without that of `end` itself.
-    pub(super) fn free_before(&self, update: &mut ScanUpdate, end: &Point2<f64>, passed: impl Fn(Cell) -> Mark) {
-        let last = self.geometry.cell(end);
-        walk(self.geometry, &self.sensor.xy(), end, |cell| {
-            if Some(cell) != last {
-                update.mark(cell, passed(cell));
-            }
-        });
-    }
-
-    /// Frees the cells towards `end`, at most as far as the largest range.
-    pub(super) fn free_towards(
-        &self,
-        update: &mut ScanUpdate,
-        end: &Point2<f64>,
-        range: f64,
-        passed: impl Fn(Cell) -> Mark,
-    ) {
-        if range.is_finite() {
-            let share = (self.params.range_max() / range).min(1.0);
-            let end = self.sensor.xy() + (end - self.sensor.xy()) * if range > 0.0 { share } else { 0.0 };
-            walk(self.geometry, &self.sensor.xy(), &end, |cell| update.mark(cell, passed(cell)));
         }
     }
 }

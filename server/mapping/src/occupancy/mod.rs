@@ -4,11 +4,13 @@
 //! [`OccupancyGrid`] of its submap. [`OccupancyMap`] is the grid of the whole map, which lays those of the submaps over each
 //! other; [`Occupancy`] reads either. [`DenseGrid`] is the rectangle of ROS values that leaves the crate.
 
+mod beams;
 mod columns;
 mod compose;
 mod dense;
 mod driven;
 mod evidence;
+mod fan;
 mod grid;
 mod mark;
 mod marks;

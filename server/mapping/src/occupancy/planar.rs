@@ -5,105 +5,131 @@ use super::read::TILE;
 use percept_geometry::Cell;
 
 /// Rows of a tile, and columns: a word a row.
-const ROWS: usize = TILE as usize;
+pub(super) const ROWS: usize = TILE as usize;
+/// Words behind the last row, so that eight rows from any on can be taken at once.
+const BEHIND: usize = 8;
 
-/// Marks on the cells of a square window, in the grid's tiles that anything was marked in.
+/// Marks on the cells of a rectangle of whole tiles.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PlanarMarks {
     /// What free and hit cells are about.
     pub(super) heights: Heights,
-    /// Column and row of the window's first tile, and tiles along its edge.
+    /// Column and row of the first tile.
     first: (i32, i32),
-    side: usize,
-    /// Row-major `side x side`: one more than the tile's place among those that are there; 0 of one that is not.
-    index: Vec<u32>,
-    pub(super) tiles: Vec<PlanarTile>,
+    /// Tiles along x and y.
+    size: (usize, usize),
+    /// A bit a cell, 64 columns a word; the words of all rows of one column of tiles, then those of the next. Cells that were hit are
+    /// not free as well.
+    pub(super) free: Vec<u64>,
+    pub(super) hit: Vec<u64>,
     /// Cells that the robot's body came through. They are neither free nor hit.
     pub(super) driven: Vec<(Cell, Heights)>,
 }
 
-/// A bit a cell, by row.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct PlanarTile {
+/// The marks of one tile, a word a row.
+pub(super) struct PlanarTile<'a> {
     pub(super) key: (i32, i32),
-    pub(super) free: [u64; ROWS],
-    pub(super) hit: [u64; ROWS],
+    pub(super) free: &'a [u64],
+    pub(super) hit: &'a [u64],
 }
 
 impl PlanarMarks {
-    /// No marks, of a window of `width` cells from `min`.
-    pub(super) fn new(heights: Heights, min: Cell, width: usize) -> Self {
-        let first = (min.x.div_euclid(TILE), min.y.div_euclid(TILE));
-        // A window of w cells reaches into at most so many tiles.
-        let side = width.div_ceil(ROWS) + 1;
-        Self { heights, first, side, index: vec![0; side * side], tiles: vec![], driven: vec![] }
+    /// No marks, of the tiles that hold cells from `low` to `high`, both included.
+    pub(super) fn new(heights: Heights, low: Cell, high: Cell) -> Self {
+        let tiles = |low: i32, high: i32| ((high >> 6) - (low >> 6)).max(0) as usize + 1;
+        let size = (tiles(low.x, high.x), tiles(low.y, high.y));
+        let none = || vec![0; size.0 * size.1 * ROWS + BEHIND];
+        Self { heights, first: (low.x >> 6, low.y >> 6), size, free: none(), hit: none(), driven: vec![] }
     }
 
-    /// The place of a cell's tile in the index, its row, and its bit there.
+    /// The first cell of the rectangle.
+    pub(super) fn first(&self) -> Cell {
+        Cell::new(self.first.0 * TILE, self.first.1 * TILE)
+    }
+
+    /// Rows of the rectangle: how far words lie apart whose cells are 64 columns apart.
+    pub(super) fn height(&self) -> usize {
+        self.size.1 * ROWS
+    }
+
+    /// The word of a cell, and its bit there; none outside of the rectangle.
     #[inline]
-    fn locate(&self, cell: Cell) -> (usize, usize, u64) {
-        let (column, row) = ((cell.x >> 6) - self.first.0, (cell.y >> 6) - self.first.1);
-        (row as usize * self.side + column as usize, (cell.y & 63) as usize, 1 << (cell.x & 63))
+    fn locate(&self, cell: Cell) -> Option<(usize, u64)> {
+        let column = usize::try_from((cell.x >> 6) - self.first.0).ok()?;
+        let row = usize::try_from(i64::from(cell.y) - i64::from(self.first.1) * i64::from(TILE)).ok()?;
+        (column < self.size.0 && row < self.height()).then(|| (column * self.height() + row, 1 << (cell.x & 63)))
     }
 
-    /// Adds a mark of a cell of the window, as [`Mark::joined`] does; where the robot drove is marked last.
+    /// Adds a mark, as [`Mark::joined`] does; where the robot drove is marked last.
     #[inline]
     pub(super) fn mark(&mut self, cell: Cell, mark: Mark) {
-        let (place, row, bit) = self.locate(cell);
-        if self.index[place] == 0 {
-            self.open(place, (cell.x >> 6, cell.y >> 6));
+        let at = self.locate(cell);
+        if let Mark::Driven(heights) = mark {
+            self.driven.push((cell, heights));
         }
-        let tile = &mut self.tiles[self.index[place] as usize - 1];
+        let Some((word, bit)) = at else { return };
+        let (free, hit) = (&mut self.free[word], &mut self.hit[word]);
         match mark {
             Mark::Unseen | Mark::Over(_) => {}
-            Mark::Free(_) => tile.free[row] |= bit,
-            Mark::Hit(_) => tile.hit[row] |= bit,
-            Mark::Driven(heights) => {
-                tile.free[row] &= !bit;
-                tile.hit[row] &= !bit;
-                self.driven.push((cell, heights));
+            Mark::Free(_) => *free |= bit & !*hit,
+            Mark::Hit(_) => {
+                *hit |= bit;
+                *free &= !bit;
+            }
+            Mark::Driven(_) => {
+                *free &= !bit;
+                *hit &= !bit;
             }
         }
     }
 
-    #[cold]
-    fn open(&mut self, place: usize, key: (i32, i32)) {
-        self.tiles.push(PlanarTile { key, free: [0; ROWS], hit: [0; ROWS] });
-        self.index[place] = self.tiles.len() as u32;
-    }
-
-    /// What a cell of the window is marked as.
+    /// What a cell is marked as.
     pub(super) fn at(&self, cell: Cell) -> Mark {
         if let Some((_, heights)) = self.driven.iter().find(|(c, _)| *c == cell) {
             return Mark::Driven(*heights);
         }
-        let (place, row, bit) = self.locate(cell);
-        match (self.index[place] as usize).checked_sub(1).map(|i| &self.tiles[i]) {
-            Some(tile) if tile.hit[row] & bit != 0 => Mark::Hit(self.heights),
-            Some(tile) if tile.free[row] & bit != 0 => Mark::Free(self.heights),
+        match self.locate(cell) {
+            Some((word, bit)) if self.hit[word] & bit != 0 => Mark::Hit(self.heights),
+            Some((word, bit)) if self.free[word] & bit != 0 => Mark::Free(self.heights),
             _ => Mark::Unseen,
         }
     }
+
+    /// The tiles in which cells are free or hit.
+    pub(super) fn tiles(&self) -> impl Iterator<Item = PlanarTile<'_>> {
+        let places = (0..self.size.0).flat_map(|x| (0..self.size.1).map(move |y| (x, y)));
+        let tile = move |(x, y): (usize, usize)| {
+            let words = (x * self.size.1 + y) * ROWS..(x * self.size.1 + y + 1) * ROWS;
+            let key = (self.first.0 + x as i32, self.first.1 + y as i32);
+            PlanarTile { key, free: &self.free[words.clone()], hit: &self.hit[words] }
+        };
+        places.map(tile).filter(|tile| tile.free.iter().chain(tile.hit).fold(0, |any, word| any | word) != 0)
+    }
 }
 
-impl PlanarTile {
-    /// Shows the marked cells of a row, those that were hit after those that are free.
+impl PlanarTile<'_> {
+    /// Shows the marked cells of a row.
     pub(super) fn visit_row(&self, row: usize, heights: Heights, mut visit: impl FnMut(usize, Mark)) {
-        let (hit, mut free) = (self.hit[row], self.free[row] & !self.hit[row]);
-        while free != 0 {
-            visit(free.trailing_zeros() as usize, Mark::Free(heights));
-            free &= free - 1;
-        }
-        let mut hit = hit;
-        while hit != 0 {
-            visit(hit.trailing_zeros() as usize, Mark::Hit(heights));
-            hit &= hit - 1;
-        }
+        ones(self.free[row], |x| visit(x, Mark::Free(heights)));
+        ones(self.hit[row], |x| visit(x, Mark::Hit(heights)));
     }
 
-    /// The first and the last marked column of a row.
-    pub(super) fn columns(&self, row: usize) -> Option<(i32, i32)> {
-        let any = self.free[row] | self.hit[row];
-        (any != 0).then(|| (any.trailing_zeros() as i32, 63 - any.leading_zeros() as i32))
+    /// The smallest and the largest column and row with a mark, both included.
+    pub(super) fn bounds(&self) -> Option<(Cell, Cell)> {
+        let any = |row: &usize| self.free[*row] | self.hit[*row];
+        let marked = |row: &usize| any(row) != 0;
+        let (first, last) = ((0..ROWS).find(marked)?, (0..ROWS).rfind(marked)?);
+        let columns = (first..=last).fold(0, |all, row| all | any(&row));
+        let cell = |x: u32, y: usize| Cell::new(self.key.0 * TILE + x as i32, self.key.1 * TILE + y as i32);
+        Some((cell(columns.trailing_zeros(), first), cell(63 - columns.leading_zeros(), last)))
+    }
+}
+
+/// The places of bits that are set, the lowest first.
+#[inline]
+pub(super) fn ones(mut bits: u64, mut visit: impl FnMut(usize)) {
+    while bits != 0 {
+        visit(bits.trailing_zeros() as usize);
+        bits &= bits - 1;
     }
 }

@@ -5,10 +5,8 @@ use super::columns::Columns;
 use super::driven::Way;
 use super::mark::{Heights, Mark};
 use super::marks::{Frame, Marks, ScanUpdate};
-use super::planar::PlanarMarks;
 use crate::KeyframeView;
 use crate::ground::GroundParams;
-use nalgebra::Point3;
 use percept_geometry::{Cell, GridGeometry};
 
 impl ScanUpdate {
@@ -43,14 +41,12 @@ impl ScanUpdate {
         let frame = Frame { params, geometry, sensor, floor_z: view.floor_z() };
         let heights = Heights::of_plane(params, sensor.z - frame.floor_z);
         let marks = if scan.planar {
-            Marks::Planar(PlanarMarks::new(heights, min, width))
+            Marks::Planar(frame.mark_beams(heights, view.hits(), view.misses()))
         } else {
             Marks::Each(vec![Mark::Unseen; width * width])
         };
         let mut update = Self { min, width, planar: scan.planar, marks };
-        if scan.planar {
-            frame.mark_beams(&mut update, heights, view.hits(), view.misses());
-        } else {
+        if !scan.planar {
             let (range_min_m, range_max_m) = (params.range_min_m, params.range_max());
             let ground = view.ground(&GroundParams { range_min_m, range_max_m, clearance_m: params.band_max_m });
             Columns::new(&frame, &ground).mark(&mut update, view.hits(), view.misses());
@@ -59,26 +55,5 @@ impl ScanUpdate {
             way.mark(&frame, &mut update);
         }
         update
-    }
-}
-
-impl Frame<'_> {
-    /// Marks what planar beams say, all of which are about these heights.
-    fn mark_beams(&self, update: &mut ScanUpdate, heights: Heights, hits: &[Point3<f64>], misses: &[Point3<f64>]) {
-        let passed = |_| Mark::Free(heights);
-        for p in hits {
-            let end = p.xy();
-            let range = (end - self.sensor.xy()).norm();
-            if range > self.params.range_max() {
-                self.free_towards(update, &end, range, passed);
-            } else if range >= self.params.range_min_m {
-                self.hit_at(update, &end, heights);
-                self.free_before(update, &end, passed);
-            }
-        }
-        for p in misses {
-            let end = p.xy();
-            self.free_towards(update, &end, (end - self.sensor.xy()).norm(), passed);
-        }
     }
 }
