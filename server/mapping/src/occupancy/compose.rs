@@ -99,7 +99,7 @@ impl Layer for OccupancyGrid {
         if place.is_aligned() {
             let Some(own) = self.tiles.get(&tile) else { return };
             let cells = under.iter_mut().enumerate();
-            cells.for_each(|(slot, state)| own.at(slot).iter().for_each(|e| state.overlay(e, params)));
+            cells.for_each(|(slot, state)| own.at(&self.kinds, slot).iter().for_each(|e| state.overlay(e, params)));
             return;
         }
         let (geometry, in_submap) = (geometry(params), place.floor_in_submap());
@@ -111,7 +111,7 @@ impl Layer for OccupancyGrid {
                 Some((last, found)) if last == key => found,
                 _ => at.insert((key, self.tiles.get(&key))).1,
             };
-            if let Some(evidence) = found.and_then(|t| t.at(own)) {
+            if let Some(evidence) = found.and_then(|t| t.at(&self.kinds, own)) {
                 state.overlay(evidence, params);
             }
         }
@@ -146,7 +146,7 @@ impl Layer for OccupancyGrid {
         for (key, tile) in self.tiles.iter() {
             put_i32(out, key.0);
             put_i32(out, key.1);
-            tile.encode(self.params(), out);
+            tile.encode(&self.kinds, self.params(), out);
         }
     }
 

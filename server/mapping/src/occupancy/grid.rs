@@ -1,6 +1,7 @@
 //! The unbounded grid of evidence, in tiles that copies share.
 
 use super::evidence::Evidence;
+use super::kinds::Kinds;
 use super::mark::Mark;
 use super::marks::Marks;
 use super::planar::PlanarMarks;
@@ -27,6 +28,8 @@ pub struct OccupancyGrid {
     params: OccupancyParams,
     geometry: GridGeometry,
     pub(super) tiles: Arc<BTreeMap<(i32, i32), Arc<EvidenceTile>>>,
+    /// What lean tiles' numbers mean.
+    pub(super) kinds: Arc<Kinds>,
     bounds: Option<(Cell, Cell)>,
 }
 
@@ -38,7 +41,7 @@ impl OccupancyGrid {
     pub fn new(params: OccupancyParams) -> Result<Self, MappingError> {
         params.validate()?;
         let geometry = GridGeometry::new(params.resolution_m, Point2::origin());
-        Ok(Self { params, geometry, tiles: Arc::default(), bounds: None })
+        Ok(Self { params, geometry, tiles: Arc::default(), kinds: Arc::default(), bounds: None })
     }
 
     /// A grid holding an imported rectangle, cell for cell: its geometry is the rectangle's, whose resolution
@@ -57,7 +60,7 @@ impl OccupancyGrid {
             let log_odds = ((p / (1.0 - p)).ln() as f32).clamp(params.min_log_odds, params.max_log_odds);
             let (key, slot) = locate(cell);
             let tile = Arc::make_mut(tiles.entry(key).or_default());
-            tile.cells(&params)[slot] = Evidence { log_odds, ..Evidence::none(&params) };
+            tile.cells(&grid.kinds, &params)[slot] = Evidence { log_odds, ..Evidence::none(&params) };
             grow(&mut grid.bounds, cell);
         }
         Ok(grid)
@@ -103,7 +106,7 @@ impl OccupancyGrid {
             if (y0..y1).all(|y| row(y).iter().all(|m| *m == Mark::Unseen)) {
                 continue;
             }
-            let cells = Arc::make_mut(tiles.entry(key).or_default()).cells(&self.params);
+            let cells = Arc::make_mut(tiles.entry(key).or_default()).cells(&self.kinds, &self.params);
             for y in y0..y1 {
                 for (x, mark) in (x0..x1).zip(row(y)).filter(|(_, m)| **m != Mark::Unseen) {
                     let cell = Cell::new(update.min.x + x as i32, update.min.y + y as i32);
@@ -119,21 +122,17 @@ impl OccupancyGrid {
     }
 
     fn apply_planar(&mut self, marks: &PlanarMarks) {
-        let tiles = Arc::make_mut(&mut self.tiles);
+        let (tiles, kinds, params) = (Arc::make_mut(&mut self.tiles), &mut self.kinds, &self.params);
         for tile in marks.tiles() {
-            let cells = Arc::make_mut(tiles.entry(tile.key).or_default()).cells(&self.params);
-            for (row, cells) in cells.chunks_mut(TILE as usize).enumerate() {
-                tile.visit_row(row, marks.heights, |x, mark| cells[x].add(mark, true, &self.params));
-            }
+            Arc::make_mut(tiles.entry(tile.key).or_default()).add(kinds, &tile, marks.heights, params);
             for cell in tile.bounds().into_iter().flat_map(|(low, high)| [low, high]) {
                 grow(&mut self.bounds, cell);
             }
         }
         for (cell, heights) in &marks.driven {
             let (key, slot) = locate(*cell);
-            let evidence = &mut Arc::make_mut(tiles.entry(key).or_default()).cells(&self.params)[slot];
-            evidence.add(Mark::Driven(*heights), true, &self.params);
-            if !evidence.log_odds.is_nan() {
+            let tile = Arc::make_mut(tiles.entry(key).or_default());
+            if tile.add_at(kinds, slot, Mark::Driven(*heights), params) {
                 grow(&mut self.bounds, *cell);
             }
         }
@@ -141,29 +140,30 @@ impl OccupancyGrid {
 
     /// Takes less memory from now on, and more time if another keyframe is added.
     pub fn pack(&mut self) {
-        let params = self.params;
+        let (params, kinds) = (self.params, std::mem::take(&mut self.kinds));
         let tiles: Vec<_> = self.tiles.iter().map(|(key, tile)| (*key, Arc::clone(tile))).collect();
-        let packed = tiles.into_par_iter().map(|(key, tile)| (key, Arc::new(tile.packed(&params))));
+        let packed = tiles.into_par_iter().map(|(key, tile)| (key, Arc::new(tile.packed(&kinds, &params))));
         self.tiles = Arc::new(packed.collect::<Vec<_>>().into_iter().collect());
     }
 
     /// What its tiles take, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.tiles.values().map(|t| t.memory_bytes()).sum()
+        self.tiles.values().map(|t| t.memory_bytes()).sum::<usize>() + self.kinds.memory_bytes()
     }
 
     /// From tiles of these parameters.
     pub(super) fn of_tiles(params: OccupancyParams, tiles: BTreeMap<(i32, i32), Arc<EvidenceTile>>) -> Self {
         let geometry = GridGeometry::new(params.resolution_m, Point2::origin());
-        let mut bounds = None;
+        let (mut bounds, kinds) = (None, Arc::<Kinds>::default());
         for (key, tile) in &tiles {
-            for slot in (0..(TILE * TILE) as usize).filter(|slot| tile.at(*slot).is_some_and(|e| !e.log_odds.is_nan()))
+            for slot in
+                (0..(TILE * TILE) as usize).filter(|slot| tile.at(&kinds, *slot).is_some_and(|e| !e.log_odds.is_nan()))
             {
                 let (x, y) = ((slot as i32) % TILE, (slot as i32) / TILE);
                 grow(&mut bounds, Cell::new(key.0 * TILE + x, key.1 * TILE + y));
             }
         }
-        Self { params, geometry, tiles: Arc::new(tiles), bounds }
+        Self { params, geometry, tiles: Arc::new(tiles), kinds, bounds }
     }
 }
 
@@ -179,7 +179,7 @@ impl Occupancy for OccupancyGrid {
     fn visit(&self, low: (i32, i32), high: (i32, i32), visit: Visit<'_>) {
         let inside = |key: &(i32, i32)| key.0 >= low.0 && key.0 <= high.0 && key.1 >= low.1 && key.1 <= high.1;
         for (key, tile) in self.tiles.iter().filter(|(key, _)| inside(key)) {
-            visit(*key, &|slot| tile.at(slot).map_or(f32::NAN, |e| e.log_odds));
+            visit(*key, &|slot| tile.at(&self.kinds, slot).map_or(f32::NAN, |e| e.log_odds));
         }
     }
 }
@@ -189,7 +189,11 @@ impl PartialEq for OccupancyGrid {
     fn eq(&self, other: &Self) -> bool {
         self.geometry == other.geometry
             && self.tiles.len() == other.tiles.len()
-            && self.tiles.iter().zip(other.tiles.iter()).all(|((ka, a), (kb, b))| ka == kb && a.same_cells(b))
+            && self
+                .tiles
+                .iter()
+                .zip(other.tiles.iter())
+                .all(|((ka, a), (kb, b))| ka == kb && a.same_cells(&self.kinds, b, &other.kinds))
     }
 }
 

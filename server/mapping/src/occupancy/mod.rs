@@ -12,6 +12,8 @@ mod driven;
 mod evidence;
 mod fan;
 mod grid;
+mod kinds;
+mod lean;
 mod mark;
 mod marks;
 mod params;
