@@ -42,6 +42,21 @@ const MARGIN: f64 = 1e-6;
 /// Rows at once.
 const LANES: usize = 8;
 
+/// All bits of the first so many rows.
+const KEEP: [[u64; LANES]; LANES + 1] = {
+    let mut keep = [[0; LANES]; LANES + 1];
+    let mut count = 0;
+    while count <= LANES {
+        let mut i = 0;
+        while i < count {
+            keep[count][i] = u64::MAX;
+            i += 1;
+        }
+        count += 1;
+    }
+    keep
+};
+
 /// A beam that leaves the sensor's row.
 struct Line {
     /// Columns a row away from the sensor.
@@ -206,23 +221,23 @@ fn crossed(area: &mut Area<'_>, place: i64) -> i64 {
 fn stretch(area: &mut Area<'_>, bottom: usize, rows: usize, at: i64, by: i64, edge: Edge) {
     // From here the columns of a row begin, and they end so much farther.
     let (mut at, wide) = (at + by.min(0), by.abs());
-    let (mut low, mut high) = ([0u64; LANES], [0u64; LANES]);
+    let steps: [i64; LANES] = std::array::from_fn(|i| by.wrapping_mul(i as i64));
     for begin in (0..rows).step_by(LANES) {
         let count = (rows - begin).min(LANES);
         let last = at.wrapping_add(by.wrapping_mul(count as i64 - 1));
         let least = at.min(last) as u64 >> FRACTION;
         let most = (at.max(last).wrapping_add(wide) as u64 >> FRACTION) + 1;
-        for i in 0..LANES {
-            let place = at.wrapping_add(by.wrapping_mul(i as i64));
-            low[i] = place as u64 >> FRACTION;
-            high[i] = place.wrapping_add(wide) as u64 >> FRACTION;
-            area.near[i] |= near(place) | near(place.wrapping_add(wide));
-        }
+        let low = steps.map(|step| at.wrapping_add(step));
+        let high = low.map(|low| low.wrapping_add(wide));
+        area.near.iter_mut().zip(low.iter().zip(&high)).for_each(|(all, (low, high))| *all |= near(*low) | near(*high));
+        let [low, high] = [low, high].map(|places| places.map(|place| place as u64 >> FRACTION));
         at = at.wrapping_add(by.wrapping_mul(LANES as i64));
         let row = bottom + begin;
         let word = (least >> 6) as usize * area.height + row;
         let (Some(free), Some(edges)) = (area.free.get_mut(word..word + LANES), area.edges.get_mut(word..word + LANES))
         else {
+            // Out of the rectangle, which holds all beams: walk.
+            area.near[0] = -1;
             continue;
         };
         if least >> 6 != most >> 6 {
@@ -236,16 +251,14 @@ fn stretch(area: &mut Area<'_>, bottom: usize, rows: usize, at: i64, by: i64, ed
             }
             continue;
         }
-        for i in 0..LANES {
-            let bits = (2u64 << (high[i] & 63)).wrapping_sub(1 << (low[i] & 63));
-            free[i] |= if i < count { bits } else { 0 };
+        let keep = &KEEP[count];
+        for (((free, keep), low), high) in free.iter_mut().zip(keep).zip(&low).zip(&high) {
+            *free |= keep & (2u64 << (high & 63)).wrapping_sub(1 << (low & 63));
         }
         if edge != Edge::None {
-            let columns = if edge == Edge::Left { &low } else { &high };
-            let aside = u64::from(edge == Edge::Right);
-            for i in 0..LANES {
-                let bit = 1u64 << ((columns[i] + aside) & 63);
-                edges[i] ^= if i < count { bit } else { 0 };
+            let columns = if edge == Edge::Left { low } else { high.map(|high| high + 1) };
+            for ((edges, keep), column) in edges.iter_mut().zip(keep).zip(columns) {
+                *edges ^= keep & 1 << (column & 63);
             }
         }
     }

@@ -26,9 +26,12 @@ impl ScanUpdate {
     pub fn new(params: &OccupancyParams, geometry: &GridGeometry, view: &KeyframeView<'_>) -> Self {
         let (sensor, scan, way) = (view.sensor(), view.scan, Way::of(params, view));
         let ends = view.hits().iter().chain(view.misses());
-        let ranges = ends.map(|p| (p - sensor).xy().norm()).filter(|r| r.is_finite());
-        let range =
-            ranges.fold(0.0, f64::max).min(params.range_max()).max(way.as_ref().map_or(0.0, |w| w.reach_m(&sensor)));
+        let squares = ends.map(|p| (p - sensor).xy().norm_squared()).filter(|r| r.is_finite());
+        let range = squares
+            .fold(0.0, f64::max)
+            .sqrt()
+            .min(params.range_max())
+            .max(way.as_ref().map_or(0.0, |w| w.reach_m(&sensor)));
         let half = (range / geometry.resolution_m).ceil() as i32 + 1;
         let min = geometry.cell(&sensor.xy()).and_then(|c| {
             c.x.checked_add(half).and(c.y.checked_add(half))?;
