@@ -211,6 +211,8 @@ Global___DetectorSpec: _TypeAlias = DetectorSpec  # noqa: Y015
 
 @_typing.final
 class DetectorInfo(_message.Message):
+    """A learned detector that may be used."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     SPEC_FIELD_NUMBER: _builtins.int
@@ -347,6 +349,7 @@ class DeleteDetectorRequest(_message.Message):
 
     NAME_FIELD_NUMBER: _builtins.int
     name: _builtins.str
+    """Which detector, as its DetectorSpec says."""
     def __init__(
         self,
         *,

@@ -92,6 +92,7 @@ class StampedPose(_message.Message):
     STAMP_NS_FIELD_NUMBER: _builtins.int
     POSE_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
+    """Nanoseconds; both trajectories by one clock."""
     @_builtins.property
     def pose(self) -> _geometry_pb2.Pose:
         """Base (or camera) to the trajectory's own fixed frame."""
@@ -123,11 +124,17 @@ class ErrorStatistics(_message.Message):
     MIN_FIELD_NUMBER: _builtins.int
     MAX_FIELD_NUMBER: _builtins.int
     rmse: _builtins.float
+    """Root of the mean square, in the unit of what it is of; so are all below."""
     mean: _builtins.float
+    """Arithmetic mean."""
     median: _builtins.float
+    """Half of the errors are at most this."""
     std: _builtins.float
+    """Standard deviation about the mean, of these errors as all there are."""
     min: _builtins.float
+    """The smallest."""
     max: _builtins.float
+    """The largest."""
     def __init__(
         self,
         *,
@@ -160,6 +167,7 @@ class SegmentDrift(_message.Message):
     rotation_deg_per_m: _builtins.float
     """Rotation error at the end of a segment over its length, degrees a metre."""
     num_segments: _builtins.int
+    """Segments that were averaged."""
     def __init__(
         self,
         *,
@@ -410,8 +418,11 @@ class DetectionMetrics(_message.Message):
     MEAN_IOU_FIELD_NUMBER: _builtins.int
     CLASS_ACCURACY_FIELD_NUMBER: _builtins.int
     true_positives: _builtins.int
+    """Detections that were paired with a true box."""
     false_positives: _builtins.int
+    """Detections that were not."""
     false_negatives: _builtins.int
+    """True boxes that no detection was paired with."""
     precision: _builtins.float
     """0 to 1. Absent if nothing was detected."""
     recall: _builtins.float

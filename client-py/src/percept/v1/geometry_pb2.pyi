@@ -60,8 +60,11 @@ class Vector3(_message.Message):
     Y_FIELD_NUMBER: _builtins.int
     Z_FIELD_NUMBER: _builtins.int
     x: _builtins.float
+    """Along x."""
     y: _builtins.float
+    """Along y."""
     z: _builtins.float
+    """Along z."""
     def __init__(
         self,
         *,
@@ -88,9 +91,13 @@ class Quaternion(_message.Message):
     Z_FIELD_NUMBER: _builtins.int
     W_FIELD_NUMBER: _builtins.int
     x: _builtins.float
+    """Axis times the sine of half the angle, along x."""
     y: _builtins.float
+    """The same along y."""
     z: _builtins.float
+    """The same along z."""
     w: _builtins.float
+    """Cosine of half the angle."""
     def __init__(
         self,
         *,

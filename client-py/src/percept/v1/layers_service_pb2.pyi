@@ -188,7 +188,9 @@ class VoxelBlock(_message.Message):
     x: _builtins.int
     """Number of the block along x, y, z: its lowest corner lies at 8 * voxel_size_m times it, map frame."""
     y: _builtins.int
+    """As x, along y."""
     z: _builtins.int
+    """As x, along z."""
     cells: _builtins.bytes
     """512 int8, x fastest, then y, then z: -1 unknown (or not asked for), 0 to 100 percent occupied."""
     def __init__(
@@ -524,8 +526,11 @@ class BoxAnswer(_message.Message):
     state: Global___SpaceState.ValueType
     """OCCUPIED if any voxel is; else UNKNOWN if any is; else FREE."""
     num_occupied: _builtins.int
+    """Voxels that are occupied."""
     num_free: _builtins.int
+    """Voxels that are free."""
     num_unknown: _builtins.int
+    """Voxels that nothing is known of."""
     def __init__(
         self,
         *,

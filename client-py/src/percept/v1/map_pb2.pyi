@@ -431,6 +431,7 @@ class FileChunk(_message.Message):
     offset: _builtins.int
     """Number of bytes before this chunk's."""
     data: _builtins.bytes
+    """The file's bytes from there on."""
     @_builtins.property
     def header(self) -> Global___FileHeader:
         """First chunk only."""

@@ -291,6 +291,7 @@ class ListLoopsResponse(_message.Message):
     next_page_token: _builtins.str
     """Empty on the last page."""
     map_version: _builtins.int
+    """Of the map whose loops these are."""
     @_builtins.property
     def loops(self) -> _containers.RepeatedCompositeFieldContainer[_map_pb2.Loop]: ...
     def __init__(
@@ -316,6 +317,7 @@ class SetLoopVetoRequest(_message.Message):
     LOOP_ID_FIELD_NUMBER: _builtins.int
     VETOED_FIELD_NUMBER: _builtins.int
     loop_id: _builtins.int
+    """Which loop, as Loop says."""
     vetoed: _builtins.bool
     """True takes the loop out, false lets it in again."""
     @_builtins.property
@@ -399,6 +401,7 @@ class GetMapSummaryResponse(_message.Message):
     voxel_size_m: _builtins.float
     """Edge of the cloud's voxels, metres."""
     num_keyframes: _builtins.int
+    """Keyframes that the map is made of."""
     @_builtins.property
     def stamp(self) -> _map_pb2.MapStamp: ...
     @_builtins.property

@@ -209,6 +209,7 @@ class PastObjectState(_message.Message):
     STATE_FIELD_NUMBER: _builtins.int
     BOX_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
+    """From when on, nanoseconds."""
     label: _builtins.str
     """Name of its class."""
     state: Global___ObjectState.ValueType
@@ -260,8 +261,11 @@ class Object(_message.Message):
     """Probability of the class, 0 to 1; 1 if a person said what it is."""
     state: Global___ObjectState.ValueType
     first_seen_ns: _builtins.int
+    """Stamp of the first frame that saw it, nanoseconds."""
     last_seen_ns: _builtins.int
+    """Stamp of the newest frame that saw it, nanoseconds."""
     num_observations: _builtins.int
+    """How often it was detected."""
     label: _builtins.str
     """Name of its class, lower case: "table", or one that people or models named."""
     velocity_variance: _builtins.float
@@ -321,6 +325,7 @@ class ObjectChange(_message.Message):
     OBJECT_FIELD_NUMBER: _builtins.int
     MERGED_INTO_FIELD_NUMBER: _builtins.int
     object_id: _builtins.int
+    """Which object."""
     kind: Global___ObjectChangeKind.ValueType
     merged_into: _builtins.int
     """MERGED only: the object that it is a part of."""
@@ -370,6 +375,7 @@ class ShapeFeatures(_message.Message):
     HULL_AREA_M2_FIELD_NUMBER: _builtins.int
     EIGENVECTORS_FIELD_NUMBER: _builtins.int
     num_points: _builtins.int
+    """Points of the set."""
     volume_m3: _builtins.float
     """Of the smallest box upright along z, cubic metres; 0 if flat."""
     linearity: _builtins.float

@@ -121,6 +121,8 @@ Global___OperationProgress: _TypeAlias = OperationProgress  # noqa: Y015
 
 @_typing.final
 class Operation(_message.Message):
+    """Work that goes on at the server, and what became of it."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     OPERATION_ID_FIELD_NUMBER: _builtins.int
@@ -154,6 +156,7 @@ class Operation(_message.Message):
     run_time_ns: _builtins.int
     """When it began to run."""
     end_time_ns: _builtins.int
+    """When it ended. Absent before."""
     expire_time_ns: _builtins.int
     """When it is forgotten. Absent before its end."""
     request_id: _builtins.str
@@ -280,6 +283,7 @@ class GetOperationRequest(_message.Message):
 
     OPERATION_ID_FIELD_NUMBER: _builtins.int
     operation_id: _builtins.str
+    """Which operation."""
     def __init__(
         self,
         *,
@@ -376,6 +380,7 @@ class WaitOperationRequest(_message.Message):
     OPERATION_ID_FIELD_NUMBER: _builtins.int
     TIMEOUT_S_FIELD_NUMBER: _builtins.int
     operation_id: _builtins.str
+    """Which operation."""
     timeout_s: _builtins.float
     """At most so long, seconds; more than 60 is taken for 60. Absent: 60."""
     def __init__(
@@ -422,6 +427,7 @@ class CancelOperationRequest(_message.Message):
 
     OPERATION_ID_FIELD_NUMBER: _builtins.int
     operation_id: _builtins.str
+    """Which operation."""
     def __init__(
         self,
         *,
@@ -461,6 +467,7 @@ class ReadOperationResultRequest(_message.Message):
 
     OPERATION_ID_FIELD_NUMBER: _builtins.int
     operation_id: _builtins.str
+    """Which operation."""
     def __init__(
         self,
         *,
@@ -520,6 +527,7 @@ class DeleteOperationRequest(_message.Message):
 
     OPERATION_ID_FIELD_NUMBER: _builtins.int
     operation_id: _builtins.str
+    """Which operation."""
     def __init__(
         self,
         *,

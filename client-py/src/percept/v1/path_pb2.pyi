@@ -406,8 +406,11 @@ class SpeedLimits(_message.Message):
     MAX_ACCEL_MPS2_FIELD_NUMBER: _builtins.int
     MAX_TURN_RATE_RADPS_FIELD_NUMBER: _builtins.int
     max_speed_mps: _builtins.float
+    """Forwards and backwards, m/s."""
     max_accel_mps2: _builtins.float
+    """Speeding up and slowing down, m/s^2."""
     max_turn_rate_radps: _builtins.float
+    """Turning, rad/s."""
     def __init__(
         self,
         *,

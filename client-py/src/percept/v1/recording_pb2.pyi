@@ -117,6 +117,7 @@ class Recording(_message.Message):
     num_bytes: _builtins.int
     """Bytes of all files; what waits to be packed is counted as it is."""
     num_files: _builtins.int
+    """Files so far."""
     @_builtins.property
     def dropped(self) -> Global___RecordingDrops:
         """What is not in the files. Frames never wait for the disk."""
@@ -198,6 +199,7 @@ class StoredRecording(_message.Message):
     num_bytes: _builtins.int
     """Bytes of all files."""
     num_files: _builtins.int
+    """Files, of which it may list fewer."""
     last_write_time_ns: _builtins.int
     """When its files were last written, server's clock, nanoseconds since the Unix epoch. Absent if it has none."""
     open: _builtins.bool
@@ -237,6 +239,7 @@ class RecordedFile(_message.Message):
     name: _builtins.str
     """In the recording's folder."""
     num_bytes: _builtins.int
+    """Size of the file."""
     def __init__(
         self,
         *,

@@ -446,6 +446,7 @@ class Door(_message.Message):
     room_id_1: _builtins.int
     """The smaller number first."""
     room_id_2: _builtins.int
+    """The larger one."""
     width_m: _builtins.float
     """Between its jambs, metres."""
     angle_rad: _builtins.float
@@ -483,9 +484,11 @@ class Place(_message.Message):
     ROOM_ID_FIELD_NUMBER: _builtins.int
     IS_IN_DOOR_FIELD_NUMBER: _builtins.int
     place_id: _builtins.int
+    """Number of the place."""
     clearance_m: _builtins.float
     """From the nearest obstacle, metres."""
     room_id: _builtins.int
+    """The room that it is in."""
     is_in_door: _builtins.bool
     """It lies in a doorway."""
     @_builtins.property
@@ -521,7 +524,9 @@ class PlaceLink(_message.Message):
     place_id_1: _builtins.int
     """The smaller number first."""
     place_id_2: _builtins.int
+    """The larger one."""
     length_m: _builtins.float
+    """Along the way, metres."""
     def __init__(
         self,
         *,
@@ -549,7 +554,9 @@ class SceneGraph(_message.Message):
     NODES_FIELD_NUMBER: _builtins.int
     RELATIONS_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
+    """Time that it holds at, nanoseconds."""
     map_version: _builtins.int
+    """Of the map that it is of."""
     frame_id: _builtins.str
     """"map"."""
     @_builtins.property

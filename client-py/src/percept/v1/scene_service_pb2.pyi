@@ -42,6 +42,7 @@ class ListObjectsRequest(_message.Message):
     AT_NS_FIELD_NUMBER: _builtins.int
     INCLUDE_SET_ASIDE_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     page_size: _builtins.int
     """At most this many; 0 means 100, 1000 at most."""
     page_token: _builtins.str
@@ -156,7 +157,9 @@ class GetObjectRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     OBJECT_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     object_id: _builtins.int
+    """Which object of it."""
     def __init__(
         self,
         *,
@@ -227,7 +230,9 @@ class CorrectObjectRequest(_message.Message):
     PIECES_FIELD_NUMBER: _builtins.int
     LEARN_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     object_id: _builtins.int
+    """Which object of it."""
     label: _builtins.str
     """What it is: 1 to 31 bytes, any word. Empty takes back what was said."""
     is_deleted: _builtins.bool
@@ -272,6 +277,7 @@ class CorrectObjectResponse(_message.Message):
     OBJECTS_FIELD_NUMBER: _builtins.int
     MAP_VERSION_FIELD_NUMBER: _builtins.int
     map_version: _builtins.int
+    """Of the map that the objects are in."""
     @_builtins.property
     def objects(self) -> _containers.RepeatedCompositeFieldContainer[_object_pb2.Object]:
         """The object, and those that the correction made or changed."""
@@ -330,6 +336,7 @@ class ListObjectClassesRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     def __init__(
         self,
         *,
@@ -372,7 +379,9 @@ class ForgetObjectClassRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     LABEL_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     label: _builtins.str
+    """Name of the class."""
     def __init__(
         self,
         *,
@@ -418,6 +427,7 @@ class GetSceneGraphRequest(_message.Message):
     AT_NS_FIELD_NUMBER: _builtins.int
     SINCE_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     directions: _scene_pb2.RelationFrame.ValueType
     """Whose left and right, front and behind: RELATION_FRAME_ROBOT, _MAP or _VIEWER. UNSPECIFIED: those are left out."""
     viewer_yaw_rad: _builtins.float
@@ -486,6 +496,7 @@ class GetRoomsRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     WITH_PLACES_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     with_places: _builtins.bool
     """Places and the ways between them, too."""
     def __init__(
@@ -514,6 +525,7 @@ class GetRoomsResponse(_message.Message):
     LINKS_FIELD_NUMBER: _builtins.int
     MAP_VERSION_FIELD_NUMBER: _builtins.int
     map_version: _builtins.int
+    """Of the map that was divided."""
     @_builtins.property
     def rooms(self) -> _containers.RepeatedCompositeFieldContainer[_scene_pb2.Room]:
         """By number."""
@@ -549,7 +561,9 @@ class NameRoomRequest(_message.Message):
     ROOM_ID_FIELD_NUMBER: _builtins.int
     NAME_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     room_id: _builtins.int
+    """Which room."""
     name: _builtins.str
     """At most 64 characters. Empty: it has no name any more."""
     def __init__(
@@ -596,7 +610,9 @@ class RouteToRoomRequest(_message.Message):
     ROOM_NAME_FIELD_NUMBER: _builtins.int
     START_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     room_id: _builtins.int
+    """Which room, by its number."""
     room_name: _builtins.str
     """Upper and lower case alike."""
     @_builtins.property
@@ -636,6 +652,7 @@ class RouteStep(_message.Message):
     LABEL_FIELD_NUMBER: _builtins.int
     DOOR_FIELD_NUMBER: _builtins.int
     room_id: _builtins.int
+    """Which room."""
     label: _builtins.str
     """Its name, else what it is likely used for, or its kind, and its number."""
     @_builtins.property

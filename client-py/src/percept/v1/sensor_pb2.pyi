@@ -635,7 +635,9 @@ class SensorMessage(_message.Message):
     IMU_FIELD_NUMBER: _builtins.int
     ODOMETRY_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """The session that it is for."""
     sensor_id: _builtins.str
+    """The sensor that it is of."""
     sequence: _builtins.int
     """The sender's running number for this sensor, echoed in the acknowledgement; gaps are counted. 0: not numbered."""
     stamp_ns: _builtins.int
@@ -718,6 +720,7 @@ class Refusal(_message.Message):
     reason: _builtins.str
     """As errors have it: STAMP_NOT_INCREASING."""
     count: _builtins.int
+    """So many frames."""
     message: _builtins.str
     """What the newest of them was told."""
     def __init__(

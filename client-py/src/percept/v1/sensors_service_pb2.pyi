@@ -28,6 +28,7 @@ class DeclareSensorRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     SPEC_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     @_builtins.property
     def spec(self) -> _sensor_pb2.SensorSpec: ...
     def __init__(
@@ -71,7 +72,9 @@ class GetSensorRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     SENSOR_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     sensor_id: _builtins.str
+    """Which sensor of it."""
     def __init__(
         self,
         *,
@@ -115,6 +118,7 @@ class UpdateSensorRequest(_message.Message):
     UPDATE_MASK_FIELD_NUMBER: _builtins.int
     ETAG_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     etag: _builtins.str
     """Refused with ETAG_MISMATCH if the sensor has another one by now. Empty: whatever is there is changed."""
     @_builtins.property
@@ -167,6 +171,7 @@ class ListSensorsRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     def __init__(
         self,
         *,

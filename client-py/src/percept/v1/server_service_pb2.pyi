@@ -55,6 +55,8 @@ Global___GetServerInfoResponse: _TypeAlias = GetServerInfoResponse  # noqa: Y015
 
 @_typing.final
 class ServerInfo(_message.Message):
+    """What a server is, and how it is set up."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     @_typing.final

@@ -512,6 +512,7 @@ class Transform(_message.Message):
     target_frame: _builtins.str
     """Coordinates in `target` of what is measured in `source`."""
     source_frame: _builtins.str
+    """See target_frame."""
     stamp_ns: _builtins.int
     """Time for which it holds. Absent if it holds for all times: between base and sensors."""
     state: Global___TrackingState.ValueType
@@ -604,6 +605,7 @@ class Session(_message.Message):
     num_keyframes: _builtins.int
     """The numbers of a session that sleeps are those with which it fell asleep."""
     num_objects: _builtins.int
+    """Objects that are tracked."""
     map_version: _builtins.int
     """Grows with every change of the map."""
     queue_length: _builtins.int
@@ -841,6 +843,7 @@ class TrajectoryPose(_message.Message):
     KEYFRAME_ID_FIELD_NUMBER: _builtins.int
     SCALE_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
+    """Of the frame, nanoseconds."""
     state: Global___TrackingState.ValueType
     keyframe_id: _builtins.int
     """Set if the frame became a keyframe."""
@@ -883,7 +886,9 @@ class Keyframe(_message.Message):
     keyframe_id: _builtins.int
     """Counted from 0 in the order of creation."""
     stamp_ns: _builtins.int
+    """Of the frame, nanoseconds."""
     sensor_id: _builtins.str
+    """The sensor that it is of."""
     num_points: _builtins.int
     """Points kept of the frame."""
     @_builtins.property
@@ -920,6 +925,7 @@ class FrameAck(_message.Message):
     REJECTION_FIELD_NUMBER: _builtins.int
     DURABLE_COUNT_FIELD_NUMBER: _builtins.int
     sensor_id: _builtins.str
+    """The sensor that it is of."""
     sequence: _builtins.int
     """As sent."""
     stamp_ns: _builtins.int

@@ -121,6 +121,7 @@ class GetSessionRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     def __init__(
         self,
         *,
@@ -282,6 +283,7 @@ class DeleteSessionRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     def __init__(
         self,
         *,
@@ -317,6 +319,7 @@ class GetPoseRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     AT_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     at_ns: _builtins.int
     """Session's clock, nanoseconds. Absent: the newest. Before the first frame: STAMP_BEFORE_TRAJECTORY; after the newest:
     STAMP_AFTER_TRAJECTORY; both say the range.
@@ -381,6 +384,7 @@ class LookupTransformRequest(_message.Message):
     SOURCE_FRAME_FIELD_NUMBER: _builtins.int
     AT_NS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     target_frame: _builtins.str
     """Where to: map, odom, base, or the id of a sensor; `sensors/` and the id for one that has one of these names."""
     source_frame: _builtins.str
@@ -436,6 +440,7 @@ class GetTrajectoryRequest(_message.Message):
     PAGE_SIZE_FIELD_NUMBER: _builtins.int
     PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     from_ns: _builtins.int
     """Only frames from this time on, session's clock, nanoseconds. Absent: from the first."""
     to_ns: _builtins.int
@@ -509,6 +514,7 @@ class ListKeyframesRequest(_message.Message):
     PAGE_SIZE_FIELD_NUMBER: _builtins.int
     PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     page_size: _builtins.int
     """At most this many; 0 means 100, 1000 at most."""
     page_token: _builtins.str
@@ -561,6 +567,7 @@ class WatchSessionRequest(_message.Message):
     KINDS_FIELD_NUMBER: _builtins.int
     OBJECTS_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     resume_token: _builtins.int
     """Token of the last event seen. Absent: only events from now on."""
     @_builtins.property
@@ -708,6 +715,7 @@ class StartRecordingRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     def __init__(
         self,
         *,
@@ -747,6 +755,7 @@ class StopRecordingRequest(_message.Message):
 
     SESSION_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     def __init__(
         self,
         *,
@@ -792,6 +801,7 @@ class ListRecordingsRequest(_message.Message):
     PAGE_SIZE_FIELD_NUMBER: _builtins.int
     PAGE_TOKEN_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     page_size: _builtins.int
     """At most this many; 0 means 100, 1000 at most."""
     page_token: _builtins.str
@@ -842,7 +852,9 @@ class DeleteRecordingRequest(_message.Message):
     SESSION_ID_FIELD_NUMBER: _builtins.int
     RECORDING_ID_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     recording_id: _builtins.str
+    """Which recording of it."""
     def __init__(
         self,
         *,

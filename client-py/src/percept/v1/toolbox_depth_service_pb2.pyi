@@ -377,6 +377,8 @@ Global___HoleFilter: _TypeAlias = HoleFilter  # noqa: Y015
 
 @_typing.final
 class DepthFilter(_message.Message):
+    """One step of the filtering of a depth image."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     MEDIAN_FIELD_NUMBER: _builtins.int
@@ -596,6 +598,7 @@ class DepthPlane(_message.Message):
     NUM_PIXELS_FIELD_NUMBER: _builtins.int
     RMS_M_FIELD_NUMBER: _builtins.int
     num_pixels: _builtins.int
+    """Pixels that it has."""
     rms_m: _builtins.float
     """Root mean square distance of its points, metres."""
     @_builtins.property

@@ -507,6 +507,7 @@ class EstimateTwoViewResponse(_message.Message):
     gric_essential: _builtins.float
     """Costs by Torr's criterion; the model with less is chosen."""
     gric_homography: _builtins.float
+    """The same for the homography."""
     @_builtins.property
     def essential(self) -> Global___EstimateEssentialResponse: ...
     @_builtins.property
@@ -732,13 +733,17 @@ class ImageDetection(_message.Message):
     RIGHT_PX_FIELD_NUMBER: _builtins.int
     BOTTOM_PX_FIELD_NUMBER: _builtins.int
     label: _builtins.str
+    """What it is."""
     score: _builtins.float
     """0 to 1."""
     left_px: _builtins.float
     """Edges of its box, pixels."""
     top_px: _builtins.float
+    """See left_px."""
     right_px: _builtins.float
+    """See left_px."""
     bottom_px: _builtins.float
+    """See left_px."""
     def __init__(
         self,
         *,
@@ -796,11 +801,14 @@ Global___ListImageDetectorsRequest: _TypeAlias = ListImageDetectorsRequest  # no
 
 @_typing.final
 class ImageDetectorInfo(_message.Message):
+    """A learned detector that looks at images."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     NAME_FIELD_NUMBER: _builtins.int
     LABELS_FIELD_NUMBER: _builtins.int
     name: _builtins.str
+    """As requests name it."""
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """What it tells apart."""

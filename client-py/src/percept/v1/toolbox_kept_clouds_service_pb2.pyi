@@ -86,6 +86,7 @@ class UploadLargeCloudRequest(_message.Message):
     FORMAT_FIELD_NUMBER: _builtins.int
     KEEP_S_FIELD_NUMBER: _builtins.int
     data: _builtins.bytes
+    """Bytes of the file."""
     format: _toolbox_pb2.CloudFormat.ValueType
     """First message only: of the file."""
     keep_s: _builtins.float
@@ -193,6 +194,7 @@ class DownloadCloudRequest(_message.Message):
     HANDLE_FIELD_NUMBER: _builtins.int
     FORMAT_FIELD_NUMBER: _builtins.int
     handle: _builtins.str
+    """Which cloud."""
     format: _toolbox_pb2.CloudFormat.ValueType
     """UNSPECIFIED: points."""
     def __init__(
@@ -243,6 +245,7 @@ class DropCloudRequest(_message.Message):
 
     HANDLE_FIELD_NUMBER: _builtins.int
     handle: _builtins.str
+    """Which cloud."""
     def __init__(
         self,
         *,

@@ -153,6 +153,7 @@ class SessionCloud(_message.Message):
     CENTRE_FIELD_NUMBER: _builtins.int
     RADIUS_M_FIELD_NUMBER: _builtins.int
     session_id: _builtins.str
+    """Which session."""
     radius_m: _builtins.float
     """Metres; required with centre."""
     @_builtins.property
@@ -194,6 +195,7 @@ class CloudHandle(_message.Message):
     handle: _builtins.str
     """Names it in requests."""
     num_points: _builtins.int
+    """Points of the cloud."""
     size_bytes: _builtins.int
     """What it takes of the budget."""
     expires_ns: _builtins.int
@@ -223,6 +225,7 @@ class CloudFile(_message.Message):
     DATA_FIELD_NUMBER: _builtins.int
     FORMAT_FIELD_NUMBER: _builtins.int
     data: _builtins.bytes
+    """The file's bytes."""
     format: Global___CloudFormat.ValueType
     def __init__(
         self,

@@ -212,6 +212,8 @@ Global___ClusterShape: _TypeAlias = ClusterShape  # noqa: Y015
 
 @_typing.final
 class ClusterShapes(_message.Message):
+    """Shapes of all clusters of a cloud."""
+
     DESCRIPTOR: _descriptor.Descriptor
 
     CLUSTERS_FIELD_NUMBER: _builtins.int

@@ -319,7 +319,9 @@ class RegisterCloudsResponse(_message.Message):
     rmse_m: _builtins.float
     """Of those pairs, metres."""
     iterations: _builtins.int
+    """Steps of the solver."""
     converged: _builtins.bool
+    """Whether the last step was below the tolerances and the pairs fix the whole pose; else outcome says why not."""
     outcome: Global___RegistrationOutcome.ValueType
     """Why not converged, if not."""
     @_builtins.property

@@ -181,6 +181,7 @@ class PlaneSegment(_message.Message):
     TILT_RAD_FIELD_NUMBER: _builtins.int
     kind: Global___PlaneKind.ValueType
     num_points: _builtins.int
+    """Points that lie in it."""
     tilt_rad: _builtins.float
     """Angle between its normal and up, radians, 0 to pi/2: 0 lies level, pi/2 stands. Only planes within 0.15 of either are more than
     OTHER: where a floor has a larger one, up is not the cloud's.
@@ -340,6 +341,7 @@ class GroundPatch(_message.Message):
     CENTRE_FIELD_NUMBER: _builtins.int
     NUM_POINTS_FIELD_NUMBER: _builtins.int
     num_points: _builtins.int
+    """Points that it is made of."""
     @_builtins.property
     def plane(self) -> _geometry_pb2.Plane:
         """Normal upward."""
@@ -444,6 +446,7 @@ class ClusterPointsResponse(_message.Message):
     labels: _builtins.bytes
     """N int32: number of each point's cluster in the order of their first points, or -1 for noise."""
     num_clusters: _builtins.int
+    """Clusters that were found."""
     def __init__(
         self,
         *,
@@ -520,6 +523,7 @@ class GrowRegionsResponse(_message.Message):
     labels: _builtins.bytes
     """N int32: number of each point's region in the order of their first points, or -1."""
     num_regions: _builtins.int
+    """Regions that were found."""
     def __init__(
         self,
         *,
@@ -699,6 +703,7 @@ class GroupConvexResponse(_message.Message):
     labels: _builtins.bytes
     """M int32: number of each supervoxel's group in the order of their first supervoxels."""
     num_groups: _builtins.int
+    """Groups that were found."""
     def __init__(
         self,
         *,
@@ -800,6 +805,7 @@ class SegmentObjectsResponse(_message.Message):
     labels: _builtins.bytes
     """N int32: number of each point's object, or -1."""
     num_objects: _builtins.int
+    """Objects that were found."""
     @_builtins.property
     def support(self) -> _geometry_pb2.Plane:
         """What they stand on. Absent if no plane was found."""
