@@ -1,19 +1,19 @@
 """What can go wrong, as a tree:
 
-PerceptError
-├── InvalidArgument         the request is wrong: mend it (also a ValueError)
-│   └── WrongType           an argument is of no type that fits, or could be misread (also a TypeError)
-├── Unauthenticated         the server does not know who asks: token or certificate missing, wrong, expired
-├── PermissionDenied        it knows, and does not allow it (also a PermissionError)
-├── NotFound                what was named does not exist
-├── AlreadyExists           it exists already, and differs
-├── FailedPrecondition      right request, wrong state: do something else first
-├── Aborted                 somebody else was quicker: read again what is there now, then try again
-├── ResourceExhausted       a limit is used up
-├── Unavailable             server stopping, unreachable, or a resource gone for now: try again
-│   └── StreamBroken        a stream of frames could not be taken up again in time; says how many are safe
-├── DeadlineExceeded        no answer in time
-└── Internal                a fault of the server's; its log has the cause
+    PerceptError
+    ├── InvalidArgument         the request is wrong: mend it (also a ValueError)
+    │   └── WrongType           an argument is of no type that fits, or could be misread (also a TypeError)
+    ├── Unauthenticated         the server does not know who asks: token or certificate missing, wrong, old
+    ├── PermissionDenied        it knows, and does not allow it (also a PermissionError)
+    ├── NotFound                what was named does not exist
+    ├── AlreadyExists           it exists already, and differs
+    ├── FailedPrecondition      right request, wrong state: do something else first
+    ├── Aborted                 somebody else was quicker: read again what is there now, then try again
+    ├── ResourceExhausted       a limit is used up
+    ├── Unavailable             server stopping, unreachable, or a resource gone for now: try again
+    │   └── StreamBroken        a stream of frames could not be taken up again in time; says how many are safe
+    ├── DeadlineExceeded        no answer in time
+    └── Internal                a fault of the server's; its log has the cause
 
 Expected outcomes are no errors: lost is a state of a pose, no path is an answer, a refused frame of a stream
 is an acknowledgement with a `rejection`.

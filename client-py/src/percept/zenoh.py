@@ -52,12 +52,15 @@ MAX_UNREAD = 256
 class Credentials:
     """Who asks, and whom to trust. With any of the files the endpoint is tls/host:port."""
 
+    #: Name of a user of zenoh.
     user: str | None = None
+    #: That user's.
     password: str | None = field(default=None, repr=False)
     #: PEM: whom to trust instead of the well-known authorities.
     ca_file: FilePath | None = None
     #: PEM: who asks.
     cert_file: FilePath | None = None
+    #: PEM: the key of cert_file.
     key_file: FilePath | None = None
 
     def settings(self, endpoint: str) -> dict[str, object]:
@@ -127,6 +130,7 @@ class _Peer:
     ) -> None:
         """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected
         to; `namespace` the server's `zenoh.namespace`."""
+        #: Name of the session.
         self.session_id = session_id
         self._timeout_s = timeout_s
         self._zenoh = _open(endpoint, namespace, timeout_s, credentials)

@@ -36,4 +36,5 @@ class AsyncSessionBound(AsyncBound):
 
     def __init__(self, transport: AsyncTransport, session_id: str) -> None:
         super().__init__(transport)
+        #: Name of the session.
         self.session_id = session_id

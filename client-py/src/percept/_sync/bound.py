@@ -37,4 +37,5 @@ class SessionBound(Bound):
 
     def __init__(self, transport: Transport, session_id: str) -> None:
         super().__init__(transport)
+        #: Name of the session.
         self.session_id = session_id

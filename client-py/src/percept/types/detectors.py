@@ -65,6 +65,7 @@ class ImageInput(Value):
 class DetectorInfo(Value):
     """A learned detector that may be used, with every value that is in force."""
 
+    #: As sessions and requests name it.
     name: str
     layout: DetectorLayout
     #: The model's classes, in its order.

@@ -19,8 +19,11 @@ from .geometry import Floats, Pose, as_pose
 class EncodedImage(Value):
     """A compressed image as its file's bytes: PNG (16-bit grey for depth) or, for colour, JPEG."""
 
+    #: The file's bytes.
     data: bytes
+    #: Columns.
     width_px: int
+    #: Rows.
     height_px: int
 
 
@@ -48,7 +51,9 @@ def _colour_or_grey(image: Array | EncodedImage) -> Array | EncodedImage:
 class DepthFrame(Value):
     """A depth image: (H, W) uint16 with metres_per_unit (0 and 65535: no return), or float32 metres."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     depth: Array | EncodedImage = field(kw_only=True)
     metres_per_unit: float | None = field(default=None, kw_only=True)
@@ -61,10 +66,13 @@ class DepthFrame(Value):
 class RgbdFrame(Value):
     """Depth, as in DepthFrame, with the colour image of the same size: (H, W, 3) uint8 RGB, or encoded."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     depth: Array | EncodedImage = field(kw_only=True)
     colour: Array | EncodedImage = field(kw_only=True)
+    #: Metres of one unit of depth; needed if that is in integers.
     metres_per_unit: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -76,7 +84,9 @@ class RgbdFrame(Value):
 class CameraFrame(Value):
     """An image: (H, W, 3) uint8 RGB, (H, W) uint8 grey, or encoded."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     colour: Array | EncodedImage = field(kw_only=True)
 
@@ -88,7 +98,9 @@ class CameraFrame(Value):
 class CloudFrame(Value):
     """A cloud in the sensor frame."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     #: Metres; its time_offsets_s count from stamp_ns.
     cloud: PointCloud = field(kw_only=True)
@@ -98,7 +110,9 @@ class CloudFrame(Value):
 class ScanFrame(Value):
     """A sweep of a planar lidar; beam i points along angle_min_rad + i * angle_increment_rad."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     #: Metres, (B,) float32; +inf no return, NaN or -inf invalid (REP-117).
     ranges_m: Array = field(kw_only=True)
@@ -132,7 +146,9 @@ class ScanFrame(Value):
 class ImuFrame(Value):
     """One inertial sample in the sensor frame."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     #: rad/s, (3,).
     angular_velocity_radps: Floats = field(kw_only=True)
@@ -148,7 +164,9 @@ class ImuFrame(Value):
 class OdometryFrame(Value):
     """One odometry sample."""
 
+    #: Of the session; it was declared before.
     sensor_id: str
+    #: Nanoseconds by the sensor's clock, later than those before.
     stamp_ns: int = field(kw_only=True)
     #: Base in the odometry's own, drifting frame.
     t_odom_base: Pose = field(kw_only=True)

@@ -88,6 +88,7 @@ class TwoViewEstimate(Value):
     homography: HomographyEstimate | None
     #: Costs by Torr's criterion; the model with less is chosen.
     gric_essential: float
+    #: The same for the homography.
     gric_homography: float
 
 

@@ -20,6 +20,6 @@ class Listing(list[T]):
 
     def to_pandas(self) -> Any:  # noqa: ANN401
         """A pandas.DataFrame with a row for each: numbers and words in columns, those of parts named after
-        the part (`box_x_m`), units in the names. Longer arrays are left out. ImportError without pandas."""
+        the part (box_x_m), units in the names. Longer arrays are left out. ImportError without pandas."""
         pandas = needed("pandas", "to_pandas()", "pandas")
         return pandas.DataFrame([flat(item) for item in self])

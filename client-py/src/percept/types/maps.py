@@ -65,6 +65,7 @@ class LoopVeto(Value):
 
     #: With its new state.
     loop: Loop
+    #: Keyframes that moved.
     num_keyframes_moved: int
     #: Of the map with it.
     map_version: int
@@ -74,6 +75,7 @@ class LoopVeto(Value):
 class MapOptimised(Value):
     """What an optimisation did."""
 
+    #: Keyframes that moved.
     num_keyframes_moved: int
     #: Of the map with it.
     map_version: int
@@ -101,8 +103,11 @@ class Region(Value):
 
     #: Map frame.
     min_x_m: float
+    #: Map frame.
     min_y_m: float
+    #: Map frame.
     max_x_m: float
+    #: Map frame.
     max_y_m: float
 
 
@@ -212,9 +217,11 @@ class MapSummary(Value):
     stamp: MapStamp
     #: None while nothing was mapped.
     occupancy: GridGeometry | None
+    #: Points of the fused cloud.
     num_points: int
     #: Of the fused cloud, metres.
     voxel_size_m: float
+    #: Keyframes that the map is made of.
     num_keyframes: int
     #: What the session takes in memory; limits.max_session_memory_mb of the server bounds it.
     memory: MapMemory
@@ -274,7 +281,9 @@ class MapFile(Value):
 
     #: The file's bytes.
     data: bytes
+    #: A name for it.
     file_name: str
+    #: As HTTP has it, e.g. image/png.
     media_type: str
     #: Lower-case hex.
     sha256: str = field(repr=False)

@@ -110,6 +110,7 @@ class Steering(Value):
 
     #: Least radius that the base drives, metres.
     turning_radius_m: float | None = None
+    #: Whether it may drive backwards.
     allow_reverse: bool | None = None
     #: Cost of a metre backwards in metres forwards.
     reverse_cost: float | None = None

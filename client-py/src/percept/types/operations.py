@@ -51,6 +51,7 @@ class OperationFault(Value):
 class OperationInfo(Value):
     """An operation as it was when the server was asked."""
 
+    #: Names it; nobody can guess it.
     operation_id: str
     kind: OperationKind
     #: The session whose map it is about; empty if none.
@@ -70,9 +71,11 @@ class OperationInfo(Value):
     create_time_ns: int
     #: When it began to run.
     run_time_ns: int | None
+    #: When it ended; None before.
     end_time_ns: int | None
     #: When it is forgotten; None before its end.
     expire_time_ns: int | None
+    #: As it was started with.
     request_id: str
 
     @property

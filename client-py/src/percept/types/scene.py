@@ -227,6 +227,7 @@ class Rooms(Value):
     #: Empty unless asked for.
     places: tuple[Place, ...]
     links: tuple[PlaceLink, ...]
+    #: Of the map that was divided.
     map_version: int
 
 
@@ -349,6 +350,7 @@ class RelationFilter:
     room_id: int | None = None
     #: The middle of the subject lies between these corners, map frame, metres, (3,).
     low: Sequence[float] | None = None
+    #: The other corner.
     high: Sequence[float] | None = None
     #: At least; 0 to 1.
     min_strength: float = 0.0

@@ -246,7 +246,9 @@ class Rejection(Value):
     reason: str
     #: Field, value and remedy.
     message: str
+    #: The offending field, or empty.
     field: str
+    #: Name of the gRPC code.
     code: str
 
 
@@ -274,8 +276,11 @@ class FrameAck(Value):
 class StreamSummary(Value):
     """What became of a stream."""
 
+    #: Frames that were handed over.
     sent: int
+    #: Of them, frames that were taken.
     accepted: int
+    #: Of them, frames that were refused.
     rejected: int
     #: So many of the first frames survive a crash.
     durable: int

@@ -49,6 +49,7 @@ class SessionFault(Value):
 
     #: Stable, upper-case.
     reason: str
+    #: What happened, for people.
     message: str
 
 
@@ -67,7 +68,9 @@ class SessionInfo(Value):
         "last_stamp_ns",
     )
 
+    #: Its name.
     session_id: str
+    #: For people; empty if none was given.
     display_name: str
     mode: SessionMode
     #: By the server's clock.
@@ -78,7 +81,9 @@ class SessionInfo(Value):
     sensors: tuple[SensorStatus, ...]
     #: None before the first frame, and while it sleeps.
     pose: PoseEstimate | None
+    #: Keyframes of its map.
     num_keyframes: int
+    #: Objects that are tracked.
     num_objects: int
     #: Grows with each change of the map.
     map_version: int
@@ -124,6 +129,7 @@ class Trajectory(Value):
     keyframe_ids: tuple[int | None, ...]
     #: Unknown: in a unit of its own, and not moved by corrections.
     scales: tuple[Scale, ...]
+    #: Of the map whose corrections are in it.
     map_version: int
     #: Where the next page starts; empty on the last one.
     next_page_token: str = field(default="", repr=False)
@@ -181,6 +187,7 @@ class Keyframe(Value):
 class MapChanged(Value):
     """The map has a new version."""
 
+    #: The new one.
     map_version: int
 
 

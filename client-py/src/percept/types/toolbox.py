@@ -47,7 +47,9 @@ class KeptClouds(Value):
 
     #: Oldest first.
     clouds: tuple[CloudHandle, ...]
+    #: What they take of the budget.
     used_bytes: int
+    #: The budget.
     max_bytes: int
 
 
@@ -152,6 +154,7 @@ class Clusters(Value):
 
     #: Number of each point's cluster, -1 for noise, (N,) int32.
     labels: npt.NDArray[np.int32]
+    #: Clusters that were found.
     num_clusters: int
 
 
@@ -211,7 +214,9 @@ class Registration(Value):
     rmse_m: float
     #: Of a right perturbation in source, (6, 6).
     covariance: Floats
+    #: Steps of the solver.
     iterations: int
+    #: Whether the last step was below the tolerances, and the pairs fix the whole pose.
     converged: bool
     #: Why not converged, if not.
     outcome: RegistrationOutcome
@@ -309,6 +314,7 @@ class SupportedObjects(Value):
 
     #: Number of each point's object, -1 for none, (N,) int32.
     labels: npt.NDArray[np.int32]
+    #: Objects that were found.
     num_objects: int
     #: What they stand on; None if no plane was found.
     support: Plane | None
@@ -362,6 +368,7 @@ class Step(Value):
         self.operation = operation
         self.quiet = quiet
         self.remainder = remainder
+        #: Of the operation, by name.
         self.params: Mapping[str, object] = params
 
     def __repr__(self) -> str:
@@ -400,8 +407,11 @@ StepAnswer: TypeAlias = (
 class StepResult(Value):
     """What became of a step. Indices and labels are of the points that it was given."""
 
+    #: Name of the step.
     operation: str
+    #: Points that it was given.
     num_points_in: int
+    #: Points that it passed on.
     num_points_out: int
     #: On the server.
     elapsed_ms: float
