@@ -119,6 +119,8 @@ def _open(endpoint: str, namespace: str, timeout_s: float, credentials: Credenti
 
 
 class _Peer:
+    """What publishers and readers have in common: one session, at one endpoint."""
+
     def __init__(
         self,
         endpoint: str,

@@ -1,0 +1,1 @@
+"""What docs/site is made of; docs/site runs it."""
