@@ -46,6 +46,13 @@ impl<'a> Reader<'a> {
         self.take().map(f32::from_le_bytes)
     }
 
+    /// So many numbers, their bytes looked for at once.
+    pub(crate) fn f32s<const N: usize>(&mut self) -> Result<[f32; N], Damaged> {
+        let (head, rest) = self.rest.split_at_checked(4 * N).ok_or(Damaged)?;
+        self.rest = rest;
+        Ok(std::array::from_fn(|i| head[4 * i..].first_chunk().map_or(0.0, |bytes| f32::from_le_bytes(*bytes))))
+    }
+
     /// A number of things, each at least a byte long, at most `limit`.
     pub(crate) fn count(&mut self, limit: usize) -> Result<usize, Damaged> {
         let count = self.u32()? as usize;

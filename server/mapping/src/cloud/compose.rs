@@ -9,6 +9,7 @@ use crate::blocks::block_box;
 use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64};
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey, joined, moved};
+use crate::sorted::sort_by_key;
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Aabb3, PointCloud, Voxel};
 use std::collections::BTreeMap;
@@ -16,6 +17,8 @@ use std::sync::Arc;
 
 /// Edge of a tile of the map, blocks.
 const TILE_BLOCKS: i32 = 8;
+/// Voxels of a block.
+const SLOTS: u64 = BLOCK.pow(3) as u64;
 /// Blocks of a stored part; bounds what damaged bytes may ask for.
 const MAX_BLOCKS: usize = 1 << 24;
 
@@ -163,18 +166,20 @@ impl Layer for FusedCloud {
 impl FusedCloud {
     /// Takes weight from what this submap saw through.
     fn carve(&self, params: &CloudParams, place: &Placement, under: &mut Under) {
-        let t_submap_map = place.t_map_submap.inverse();
-        let mut at: Option<(BlockKey, Option<&Arc<Count>>)> = None;
+        let (t_submap_map, is_aligned) = (place.t_map_submap.inverse(), place.is_aligned());
+        // A block of the map lies across blocks of the submap beside each other: of these each has a place of its own.
+        let mut known: [Option<(BlockKey, Option<&Arc<Count>>)>; 8] = [None; 8];
         under.retain(|key, block| {
             block.retain_mut(|v| {
-                let own = if place.is_aligned() {
+                let own = if is_aligned {
                     Some((*key, v.slot))
                 } else {
                     Voxel::containing(&(t_submap_map * position(params, *key, v)), params.voxel_size_m).map(locate)
                 };
                 let Some((key, slot)) = own else { return true };
+                let at = &mut known[(key.0 & 1 | (key.1 & 1) << 1 | (key.2 & 1) << 2) as usize];
                 let count = match at {
-                    Some((last, found)) if last == key => found,
+                    Some((last, found)) if *last == key => *found,
                     _ => at.insert((key, self.free.blocks.get(&key))).1,
                 };
                 let Some(passes) = count.map(|c| count_at(c, slot)).filter(|n| *n > 0) else { return true };
@@ -219,23 +224,37 @@ impl FusedCloud {
             }
         }
         // Stable: those that fall into one voxel are folded in the order of the submap's.
-        found.sort_by_key(|(key, v)| (*key, v.slot));
+        let mut order = numbered(&found, (xs.start, ys.start));
+        sort_by_key(&mut order);
         let mut out: Vec<(BlockKey, Block)> = Vec::new();
-        for (key, v) in found {
-            match out.last_mut().filter(|(last, _)| *last == key) {
-                None => out.push((key, vec![v])),
-                Some((_, block)) => match block.last_mut().filter(|last| last.slot == v.slot) {
+        for of_block in order.chunk_by(|a, b| a.0 / SLOTS == b.0 / SLOTS) {
+            let mut block = Block::with_capacity(of_block.len());
+            for (_, at) in of_block {
+                let v = &found[*at as usize].1;
+                match block.last_mut().filter(|last| last.slot == v.slot) {
                     // Halves of one surface: together they weigh no more than either.
                     Some(last) => {
-                        *last =
-                            VoxelMean { weight: last.weight.max(v.weight), ..super::fused::fold(last, &v, f32::MAX) }
+                        *last = VoxelMean { weight: last.weight.max(v.weight), ..super::fused::fold(last, v, f32::MAX) }
                     }
-                    None => block.push(v),
-                },
+                    None => block.push(*v),
+                }
             }
+            out.push((found[of_block[0].1 as usize].0, block));
         }
         out
     }
+}
+
+/// Numbers in the order of blocks and slots, and which voxel each is of; a tile's first column and row of blocks is given.
+fn numbered(voxels: &[(BlockKey, VoxelMean)], (x0, y0): (i32, i32)) -> Vec<(u64, u32)> {
+    let (lowest, highest) =
+        voxels.iter().fold((i32::MAX, i32::MIN), |(low, high), (key, _)| (low.min(key.2), high.max(key.2)));
+    let layers = u64::from(highest.abs_diff(lowest)) + 1;
+    let number = |((x, y, z), v): &(BlockKey, VoxelMean)| {
+        let column = u64::from(x.abs_diff(x0)) * TILE_BLOCKS as u64 + u64::from(y.abs_diff(y0));
+        (column * layers + u64::from(z.abs_diff(lowest))) * SLOTS + u64::from(v.slot)
+    };
+    voxels.iter().map(number).zip(0..).collect()
 }
 
 impl CloudMap {
@@ -296,11 +315,7 @@ fn take_key(from: &mut Reader<'_>) -> Result<BlockKey, Damaged> {
 }
 
 fn take_voxel(from: &mut Reader<'_>) -> Result<VoxelMean, Damaged> {
-    let slot = from.u16()?;
-    let mut numbers = [0.0; 7];
-    for n in &mut numbers {
-        *n = from.f32()?;
-    }
+    let (slot, numbers) = (from.u16()?, from.f32s::<7>()?);
     let [weight, x, y, z, r, g, b] = numbers;
     let (colored, slot) = (slot >> 15 == 1, slot & 0x7fff);
     let is_sound = i32::from(slot) < BLOCK.pow(3) && numbers.iter().all(|n| n.is_finite());
