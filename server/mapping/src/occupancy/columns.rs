@@ -166,8 +166,8 @@ impl<'a> Passing<'a> {
 
 /// Cells that are worked on together.
 const CHUNK: usize = 16;
-/// The ground rises and falls within a chunk by less, in bits of heights.
-const UNEVEN_BITS: f32 = 64.0;
+/// More than rounding errs by, in bits of heights.
+const ROUNDED_BITS: f32 = 0.05;
 
 /// The lowest six bits of the whole number below 0 to 63: a conversion would ask whether it fits.
 #[inline(always)]
@@ -218,11 +218,14 @@ by_processor! {
             That::WentOn => (f32::INFINITY, BEYOND_M),
         };
         for ((ranges, above), heights) in ranges.chunks(CHUNK).zip(above.chunks(CHUNK)).zip(heights.chunks_mut(CHUNK)) {
-            let last = ranges.len() - 1;
+            let around = |of: &[f32]| of.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+            let ((nearest, farthest), (lowest, highest)) = (around(ranges), around(above));
+            let aside = half_width_m(farthest) * bits_per_m + ROUNDED_BITS;
             for beam in beams {
-                let bit = |i: usize| above[i] + beam.slope * bits_per_m * ranges[i];
-                let (low, high) = (bit(0).min(bit(last)), bit(0).max(bit(last)));
-                if high < -UNEVEN_BITS || low > 64.0 + UNEVEN_BITS || beam.range > ended_before {
+                // Beams that pass below or above all of these cells' bands say nothing of them.
+                let (a, b) = (beam.slope * bits_per_m * nearest, beam.slope * bits_per_m * farthest);
+                let (low, high) = (lowest + a.min(b) - aside, highest + a.max(b) + aside);
+                if high < 0.0 || low > 64.0 || beam.range > ended_before {
                     continue;
                 }
                 let reach = beam.range - beyond.max(grazing_m(beam.slope));

@@ -78,14 +78,14 @@ impl ScanUpdate {
     /// Adds a mark, if the cell is in the window.
     #[inline]
     pub(super) fn mark(&mut self, cell: Cell, mark: Mark) {
-        let (x, y) = (i64::from(cell.x) - i64::from(self.min.x), i64::from(cell.y) - i64::from(self.min.y));
-        let side = self.width as i64;
-        if x < 0 || y < 0 || x >= side || y >= side {
+        // What lies before the window wraps to far behind it.
+        let [x, y] = [cell.x.wrapping_sub(self.min.x), cell.y.wrapping_sub(self.min.y)].map(|v| v as u32 as usize);
+        if x >= self.width || y >= self.width {
             return;
         }
         match &mut self.marks {
             Marks::Each(marks) => {
-                let slot = &mut marks[y as usize * self.width + x as usize];
+                let slot = &mut marks[y * self.width + x];
                 *slot = slot.joined(mark);
             }
             Marks::Planar(marks) => marks.mark(cell, mark),
