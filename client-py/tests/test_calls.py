@@ -1,8 +1,11 @@
 """Deadlines, retries, errors, pages."""
 
 import asyncio
+import contextlib
+import socket
 import threading
 import time
+import traceback
 
 import grpc
 import numpy as np
@@ -104,6 +107,67 @@ def test_nobody_at_the_address_is_unavailable_and_not_healthy():
         assert client.with_options(timeout_s=0.3).health() is False
         with pytest.raises(Unavailable):
             client.session("s").pose()
+
+
+@contextlib.contextmanager
+def somebody_who_hangs_up():
+    """The address of a server that is there, and speaks something else than gRPC."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def hang_up():
+            with contextlib.suppress(OSError):
+                while True:
+                    server.accept()[0].close()
+
+        threading.Thread(target=hang_up, daemon=True).start()
+        yield f"127.0.0.1:{server.getsockname()[1]}"
+        server.shutdown(socket.SHUT_RDWR)
+
+
+def test_who_cannot_be_reached_is_named_with_what_to_look_at():
+    said = {}
+    with somebody_who_hangs_up() as other:
+        for address in ("127.0.0.1:1", other, "no-such-host.invalid:50051"):
+            with Client(address, timeout_s=3.0, retries=0) as client, pytest.raises(Unavailable) as error:
+                client.session("s").pose()
+            assert (error.value.reason, error.value.code) == ("SERVER_UNREACHABLE", "UNAVAILABLE")
+            assert error.value.message.startswith(f"cannot reach {address}: ")
+            said[address] = error.value.message
+    assert "nobody listens there; is `percept serve` running" in said["127.0.0.1:1"]
+    assert "than gRPC's (50051; REST has 8080)" in said[other]
+    assert "no machine of this name" in said["no-such-host.invalid:50051"]
+
+
+def test_tls_where_none_is_spoken_says_so(fake):
+    meant = pytest.raises(Unavailable, match="the TLS handshake failed; a server without TLS is called by")
+    with Client(f"https://{fake.address}", timeout_s=3.0, retries=0) as client, meant:
+        client.session("s").pose()
+
+
+def test_no_answer_in_time_names_the_server_and_the_option(fake):
+    done = threading.Event()
+    fake.unary(rpc.GET_POSE, lambda *_: done.wait(20) and rpc.GET_POSE.answer())
+    try:
+        with Client(fake.address, timeout_s=0.2) as client, pytest.raises(percept.DeadlineExceeded) as error:
+            client.session("s").pose()
+        assert str(error.value).startswith(f"{fake.address} did not answer in time; give the call more ")
+    finally:
+        done.set()
+
+
+def test_a_traceback_tells_what_percept_says_and_not_the_insides_of_grpc(fake, client):
+    fake.unary(
+        rpc.GET_POSE,
+        lambda _, c: refuse(c, grpc.StatusCode.NOT_FOUND, "SESSION_NOT_FOUND", "session_id", "no session s"),
+    )
+    with pytest.raises(NotFound) as error:
+        client.session("s").pose()
+    shown = "".join(traceback.format_exception(error.value))
+    assert "no session s (field session_id) [SESSION_NOT_FOUND]" in shown
+    assert "RpcError" not in shown
+    assert "debug_error_string" not in shown
+    # Whoever looks for it finds it.
+    assert isinstance(error.value.__context__, grpc.RpcError)
 
 
 def refused_at_first(times, code, answer, **details):

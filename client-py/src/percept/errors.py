@@ -205,20 +205,83 @@ def client_closed() -> Unavailable:
     return Unavailable("the client is closed; make another", reason="CLIENT_CLOSED")
 
 
-def error_of_rpc(error: grpc.RpcError) -> PerceptError:
-    """The exception for a failed call, with what its google.rpc.Status details say."""
+def error_of_rpc(error: grpc.RpcError, server: str = "the server") -> PerceptError:
+    """The exception for a failed call to a server, with what its google.rpc.Status details say. Where gRPC
+    alone speaks, for no server answered, it says whom it could not reach, why, and what to look at."""
     if not isinstance(error, (grpc.Call, grpc.aio.AioRpcError)):
         return PerceptError(str(error))
     said = _details(error.trailing_metadata() or ())
+    code, message = error.code().name, error.details() or ""
+    if not said.reason:
+        message, said.reason = _of_the_link(code, message, server)
     return error_of(
-        error.code().name,
-        error.details() or "",
+        code,
+        message,
         reason=said.reason,
         field=said.field,
         retry_after_s=said.retry_after_s,
         trace_id=said.trace_id,
         server=said.server,
     )
+
+
+#: How gRPC's own words of a link that failed begin.
+_LINK_FAILED = (
+    "failed to connect",
+    "errors resolving",
+    "dns resolution failed",
+    "socket closed",
+    "connection reset",
+)
+#: What gRPC says of a link that did not come about or broke, in lower case: what that means, and what to do.
+_LINK_FAULTS = (
+    (
+        ("connection refused",),
+        "nobody listens there",
+        "is `percept serve` running, and is that the port that it names for gRPC?",
+    ),
+    (
+        ("lookup failed", "dns resolution failed", "name not found", "errors resolving"),
+        "no machine of this name is known",
+        "look at its spelling, or give the IP address",
+    ),
+    (
+        ("certificate_verify_failed", "peer name", "hostname verification"),
+        "its certificate is not trusted",
+        "name who signed it (ca_file) and whom it is made out to (server_name)",
+    ),
+    (
+        ("handshake", "wrong_version_number", "ssl_"),
+        "the TLS handshake failed",
+        "a server without TLS is called by http:// or a bare address, and REST is no gRPC",
+    ),
+    (
+        ("no route", "unreachable", "timed out", "timeout"),
+        "no answer comes from there",
+        "is that percept's gRPC port, is the machine on this network, does a firewall let the port through?",
+    ),
+    (
+        ("socket closed", "connection reset", "broken pipe", "goaway", "http2", "protocol"),
+        "the connection was closed",
+        "has the server stopped, or is that another port than gRPC's (50051; REST has 8080)? One with TLS is "
+        "called by https://",
+    ),
+)
+
+
+def _of_the_link(code: str, message: str, server: str) -> tuple[str, str]:
+    """Message and reason, where gRPC speaks in words of its own; what else is said stays as it is."""
+    words = message.lower()
+    if code == "DEADLINE_EXCEEDED" and "deadline exceeded" in words:
+        remedy = "give the call more timeout_s, or see whether that is percept's gRPC port and what it is at"
+        # Without a reason: it is by that that a server which says nothing is told from one that is late.
+        return f"{server} did not answer in time; {remedy}", ""
+    if code != "UNAVAILABLE" or not words.startswith(_LINK_FAILED):
+        return message, ""
+    for signs, meaning, remedy in _LINK_FAULTS:
+        if any(sign in words for sign in signs):
+            return f"cannot reach {server}: {meaning}; {remedy}", "SERVER_UNREACHABLE"
+    return f"cannot reach {server}: {message}", "SERVER_UNREACHABLE"
 
 
 @dataclass

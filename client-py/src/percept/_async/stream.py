@@ -292,7 +292,7 @@ class AsyncFrameStream(FrameSender[Awaitable[None]]):
                 await self._changed.wait(min(max(until - time.monotonic(), 0.0), LOOK_S))
 
     def _error_of(self, cause: grpc.RpcError) -> PerceptError:
-        error = error_of_rpc(cause)
+        error = error_of_rpc(cause, self._server.target)
         # When a write meets the end of the call, grpc.aio may put an error of its own in place of the
         # server's, which would have had a reason.
         if error.code == "INTERNAL" and not error.reason:

@@ -149,8 +149,7 @@ class AsyncEvents(ABC, Generic[E]):
                 await self._greet()
             return await runtime.next_of(self._call), None
         except grpc.RpcError as cause:
-            error = error_of_rpc(cause)
-            error.__cause__ = cause
+            error = error_of_rpc(cause, self._server.target)
         except runtime.Cancelled:
             ours = self._closed.is_set() or self._transport.link.closed
             if not ours or runtime.is_cancelled():

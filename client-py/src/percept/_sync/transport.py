@@ -230,10 +230,10 @@ class Transport:
     def _begun(self, begin: Callable[[], Any]) -> Any:  # noqa: ANN401
         try:
             return begin()
-        except runtime.ChannelClosed as cause:
+        except runtime.ChannelClosed:
             if not self.link.closed:
                 raise
-            raise client_closed() from cause
+            raise client_closed() from None
 
     def _metadata(self) -> Metadata:
         said, authorization = self.options.metadata, self.authorization
@@ -248,9 +248,9 @@ class Transport:
             try:
                 return attempt(server, max(deadline - time.monotonic(), 0.001))
             except grpc.RpcError as cause:
-                error = error_of_rpc(cause)
+                error = error_of_rpc(cause, server.target)
                 if self.link.closed and error.code == "CANCELLED":
-                    raise client_closed() from cause
+                    raise client_closed() from None
                 before, server = server, self.after(server, error)
                 moved = server.target != before.target
                 if error.server and moved and moves_left > 0:
@@ -259,9 +259,10 @@ class Transport:
                     continue
                 wait = wait_before_retry(error, waits, moved=moved)
                 if wait is None or time.monotonic() + wait > deadline:
-                    raise error from cause
-            except (runtime.Cancelled, runtime.ChannelClosed) as cause:
+                    # What gRPC said is in it; its own words before it are a page that helps nobody.
+                    raise error from None
+            except (runtime.Cancelled, runtime.ChannelClosed):
                 if not self.link.closed or runtime.is_cancelled():
                     raise
-                raise client_closed() from cause
+                raise client_closed() from None
             self.link.pause(wait)

@@ -150,8 +150,7 @@ class Events(ABC, Generic[E]):
                 self._greet()
             return runtime.next_of(self._call), None
         except grpc.RpcError as cause:
-            error = error_of_rpc(cause)
-            error.__cause__ = cause
+            error = error_of_rpc(cause, self._server.target)
         except runtime.Cancelled:
             ours = self._closed.is_set() or self._transport.link.closed
             if not ours or runtime.is_cancelled():
