@@ -277,6 +277,21 @@ def test_a_pgm_and_its_yaml_say_what_the_grid_says(laser_session):
     assert np.allclose(origin[:2], grid.origin, atol=1e-5)
 
 
+def test_the_yaml_of_a_nav2_map_names_the_image_that_lies_beside_it(laser_session, tmp_path):
+    # It named map.pgm whatever both were called, so that no reader found the image.
+    def image_of(yaml):
+        return dict(x.split(": ", 1) for x in yaml.read_text().splitlines() if ": " in x)["image"]
+
+    export, kinds = laser_session.map.export, ("yaml", "pgm")
+    by_name = [export(f"nav2_{kind}", path=tmp_path / f"hall.{kind}").path for kind in kinds]
+    by_folder = [export(f"nav2_{kind}", path=tmp_path).path for kind in kinds]
+    for yaml, pgm in (by_name, by_folder):
+        assert yaml.with_name(image_of(yaml)) == pgm
+    quoted = export("nav2_yaml", path=tmp_path / "hall: 2.yaml")
+    assert image_of(quoted.path) == '"hall: 2.pgm"'
+    assert hashlib.sha256(quoted.path.read_bytes()).hexdigest() == quoted.sha256
+
+
 def test_a_tum_file_is_the_trajectory(laser_session):
     rows = laser_session.map.export("trajectory_tum").data.decode().splitlines()
     values = np.array([r.split() for r in rows if not r.startswith("#")], float)

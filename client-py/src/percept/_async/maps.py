@@ -40,6 +40,7 @@ def _written(file: MapFile, path: str | os.PathLike[str] | None) -> MapFile:
     target = pathlib.Path(path)
     if target.is_dir():
         target = target / file.file_name
+    file = convert.called(file, target.name)
     part = target.with_name(f"{target.name}.part")
     part.write_bytes(file.data)
     part.replace(target)
@@ -189,6 +190,9 @@ class AsyncMaps(AsyncSessionBound):
         max_error_m: float | None = None,
     ) -> MapFile:
         """The map as a file, checksum compared; with `path` (file or folder) it is written there.
+
+        A map for nav2 is two files: export "nav2_yaml" to hall.yaml and "nav2_pgm" to hall.pgm, which the
+        first names, or both to one folder.
 
         max_error_m: of the Draco formats, by how much positions may be off, 0.0001 to 1; None: 0.001.
         """

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import json
+import pathlib
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,6 +33,9 @@ from ..types.maps import (
 from ..v1 import map_pb2
 from ..v1 import maps_service_pb2 as service
 from . import draco, geometry, words
+
+#: How nav2's yaml begins: with the name of its image.
+_IMAGE = b"image: "
 
 
 def source(session_id: str) -> map_pb2.MapSource:
@@ -242,4 +249,20 @@ def export(
         format=words.number("format", map_pb2.MapFormat, file_format),
         max_error_m=max_error_m,
     )
-    return ChunkedCall(_rpc.EXPORT_MAP, request, lambda a: file([x.chunk for x in a]))
+
+    def read(answers: Sequence[service.ExportMapResponse]) -> MapFile:
+        came = file([x.chunk for x in answers])
+        return called(came, came.file_name)
+
+    return ChunkedCall(_rpc.EXPORT_MAP, request, read)
+
+
+def called(came: MapFile, file_name: str) -> MapFile:
+    """The file under this name: nav2's yaml names its image, which lies beside it and is called alike."""
+    if not came.data.startswith(_IMAGE):
+        return came
+    image = pathlib.PurePath(file_name).with_suffix(".pgm").name
+    # Quoted as JSON is, which YAML reads, too, where it could be anything else than a name.
+    written = image if re.fullmatch(r"[A-Za-z][\w.-]*", image) else json.dumps(image)
+    data = _IMAGE + written.encode() + b"\n" + came.data.partition(b"\n")[2]
+    return dataclasses.replace(came, data=data, sha256=hashlib.sha256(data).hexdigest())
