@@ -49,6 +49,18 @@ def test_acks_come_in_order_and_end_when_none_is_outstanding(fake, client):
         assert [a.sequence for a in stream.acks()] == [7]
 
 
+def test_the_first_frame_that_is_refused_for_a_reason_is_told(fake, client, caplog):
+    # A stream into a session without its sensor went through without a word.
+    fake.bidi(rpc.STREAM_FRAMES, acknowledge)
+    with client.session("s").stream() as stream:
+        for i in range(9):
+            stream.send_depth("d", stamp_ns=i, depth=DEPTH)
+    assert stream.summary.rejected == 3
+    [told] = [r.getMessage() for r in caplog.records if r.name == "percept"]
+    assert told.startswith("session s refused frame 3 of d: ")
+    assert "[STAMP_NOT_INCREASING]; the stream's summary counts" in told
+
+
 def test_frames_are_numbered_for_each_sensor(fake, client):
     fake.bidi(rpc.STREAM_FRAMES, acknowledge)
     with client.session("s").stream() as stream:

@@ -8,6 +8,7 @@ in before.
 from __future__ import annotations
 
 import dataclasses
+import logging
 import threading
 from collections import Counter, deque
 
@@ -17,6 +18,8 @@ from .types.frames import SensorFrame
 from .types.sensors import FrameAck, StreamSummary
 from .v1 import sensors_service_pb2 as service
 from .v1.error_pb2 import ErrorInfo
+
+_log = logging.getLogger("percept")
 
 #: Acknowledgements that nobody reads are kept up to this many, then the oldest go.
 MAX_UNREAD = 4096
@@ -84,6 +87,7 @@ class StreamState:
         self._kept: deque[Sent] = deque()
         self._connection: Connection | None = None
         self._rejections: list[FrameAck] = []
+        self._told: set[tuple[str, str]] = set()
         self._sequences: Counter[str] = Counter()
         self._newest: dict[str, int] = {}
         # The summary is read at any time, from any thread.
@@ -201,10 +205,21 @@ class StreamState:
             return
         if not ack.accepted:
             self.rejected += 1
+            self._tell(ack)
             sent.settled = True
             self._pop_settled()
             if len(self._rejections) < MAX_REJECTIONS:
                 self._rejections.append(ack)
+
+    def _tell(self, ack: FrameAck) -> None:
+        """Says once for each sensor and reason that frames are refused: whoever does not read
+        acknowledgements would not know."""
+        refused = ack.rejection
+        if refused is None or (ack.sensor_id, refused.reason) in self._told:
+            return
+        self._told.add((ack.sensor_id, refused.reason))
+        words = "session %s refused frame %d of %s: %s [%s]; the stream's summary counts what else is refused"
+        _log.warning(words, self.session_id, ack.sequence, ack.sensor_id, refused.message, refused.reason)
 
     @staticmethod
     def _taken_before(sent: Sent, reason: str) -> bool:
