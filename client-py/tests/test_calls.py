@@ -109,6 +109,31 @@ def test_nobody_at_the_address_is_unavailable_and_not_healthy():
             client.session("s").pose()
 
 
+@pytest.mark.parametrize("address", [None, 50051, [50051], b"127.0.0.1:50051"])
+def test_an_address_that_is_no_text_is_told(address):
+    with pytest.raises(
+        percept.WrongType, match=r"address is .*; give host:port, e\.g\. '127\.0\.0\.1:50051'"
+    ):
+        Client(address)
+
+
+def test_sessions_and_sensors_of_other_types_are_told(client):
+    with pytest.raises(percept.WrongType, match="session_id is 7; give its id"):
+        client.session(7)
+    with pytest.raises(percept.WrongType, match="session_id is 7; give an id"):
+        client.sessions.create(7)
+    laser = percept.SensorSpec("laser", kind="lidar2d")
+    for sensors in (laser, [{"sensor_id": "laser", "kind": "lidar2d"}], ["laser"]):
+        with pytest.raises(percept.WrongType, match=r"sensors is .*; give a list of SensorSpec"):
+            client.sessions.create(sensors=sensors)
+
+
+def test_pages_say_how_they_are_read(client):
+    assert (
+        repr(client.sessions.list()) == "<Pages: asked for as they are used in a loop; .all() gives a list>"
+    )
+
+
 @contextlib.contextmanager
 def somebody_who_hangs_up():
     """The address of a server that is there, and speaks something else than gRPC."""

@@ -1,5 +1,6 @@
 import copy
 import dataclasses
+import datetime
 import pickle
 
 import numpy as np
@@ -177,6 +178,39 @@ def test_depth_in_units_needs_its_scale_and_metres_do_not():
     DepthFrame("d", stamp_ns=1, depth=metres)
     with pytest.raises(InvalidArgument, match="colour"):
         RgbdFrame("d", stamp_ns=1, depth=metres, colour=np.zeros((4, 6), np.uint8))
+
+
+@pytest.mark.parametrize("scale", ["mm", 0, -0.001, float("nan")])
+def test_a_scale_of_depth_is_a_number_above_zero(scale):
+    with pytest.raises(InvalidArgument, match=r"metres_per_unit is .*e\.g\. 0\.001 for millimetres"):
+        DepthFrame("d", stamp_ns=1, depth=np.zeros((4, 6), np.uint16), metres_per_unit=scale)
+
+
+def test_depth_in_float_takes_no_scale():
+    # It was left aside: millimetres as float32 were taken for metres, with the scale beside them.
+    metres = np.zeros((4, 6), np.float32)
+    with pytest.raises(InvalidArgument, match="float32 is in metres; leave it out, and multiply") as error:
+        DepthFrame("d", stamp_ns=1, depth=metres, metres_per_unit=0.001)
+    assert (error.value.reason, error.value.field) == ("OPTIONS_CONFLICT", "metres_per_unit")
+    DepthFrame("d", stamp_ns=1, depth=metres, metres_per_unit=1.0)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "remedy"),
+    [
+        (1795836925.5, r"round\(seconds \* 1e9\)"),
+        (None, r"time\.time_ns\(\)"),
+        (True, r"not True"),
+        (np.datetime64("2026-11-28T03:35:25"), r"astype\(\"datetime64\[ns\]\"\)"),
+        (datetime.datetime(2026, 11, 28, tzinfo=datetime.timezone.utc), r"; send round\(when\.timestamp"),
+        (datetime.datetime(2026, 11, 28), r"no time zone: name it first .*, then send round\("),
+    ],
+)
+def test_a_stamp_that_is_no_number_of_nanoseconds_says_what_to_send(stamp, remedy):
+    frame = DepthFrame("d", stamp_ns=stamp, depth=np.zeros((4, 6), np.float32))
+    with pytest.raises(InvalidArgument, match=remedy) as error:
+        sensors.frame_to("s", frame)
+    assert (error.value.reason, error.value.field) == ("STAMP_INVALID", "stamp_ns")
 
 
 def test_other_memory_layouts_are_copied_into_ours():

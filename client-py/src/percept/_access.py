@@ -6,13 +6,13 @@ import ipaddress
 import os
 import pathlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Union
 
 import grpc
 
-from .errors import InvalidArgument
+from .errors import InvalidArgument, WrongType
 
 FilePath = Union[str, "os.PathLike[str]"]
 
@@ -54,7 +54,11 @@ class Access:
 
 def accesses(address: str | Sequence[str], **said: Any) -> tuple[Access, ...]:  # noqa: ANN401
     """One access for each server; the others are for when the first is away."""
-    addresses = [address] if isinstance(address, str) else list(address)
+    given = [address] if isinstance(address, str) else address
+    if not (isinstance(given, Iterable) and all(isinstance(each, str) for each in given)):
+        message = f"address is {address!r}; give host:port, e.g. '127.0.0.1:50051', or a list of such"
+        raise WrongType(message, reason="ADDRESS_INVALID", field="address")
+    addresses = list(given)
     if not addresses:
         raise InvalidArgument("address names no server; give one", reason="ADDRESS_INVALID", field="address")
     first, *others = (access(each, **said) for each in addresses)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 import operator
 from collections.abc import Sequence
@@ -64,16 +65,29 @@ def number(field: str, value: object, *, low: float = -math.inf, high: float = m
 def stamp(value: object) -> int:
     """Nanoseconds of a stamp: a whole number, of Python's or of NumPy's."""
     try:
-        stamp_ns = operator.index(value)  # type: ignore[arg-type]
+        # True is an int to Python, and a mistake here.
+        stamp_ns = None if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
     except TypeError:
         stamp_ns = None
     if stamp_ns is None or not -(2**63) <= stamp_ns < 2**63:
         message = (
-            f"stamp_ns must be a whole number of nanoseconds of 64 bits, not {value!r}; "
-            "send e.g. time.time_ns(), or round(seconds * 1e9)"
+            f"stamp_ns must be a whole number of nanoseconds of 64 bits, not {value!r}; {_stamp_of(value)}"
         )
         raise InvalidArgument(message, reason="STAMP_INVALID", field="stamp_ns")
     return stamp_ns
+
+
+def _stamp_of(value: object) -> str:
+    """What to send instead."""
+    if isinstance(value, np.datetime64):
+        return 'send int(when.astype("datetime64[ns]").astype("int64"))'
+    if not isinstance(value, datetime.datetime):
+        return "send e.g. time.time_ns(), or round(seconds * 1e9)"
+    # Also pandas' Timestamp, which is one and keeps nanoseconds.
+    send = "when.value" if hasattr(value, "value") else "round(when.timestamp() * 1e9)"
+    if value.tzinfo is None:
+        return f"it has no time zone: name it first (when.replace(tzinfo=...)), then send {send}"
+    return f"send {send}"
 
 
 def same_length(field: str, array: Array | None, length: int) -> None:

@@ -16,6 +16,9 @@ class AsyncPages(AsyncIterator[T], Generic[T]):
     def __init__(self, elements: AsyncIterator[T]) -> None:
         self._elements = elements
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: asked for as they are used in a loop; .all() gives a list>"
+
     def __aiter__(self) -> AsyncPages[T]:
         return self
 

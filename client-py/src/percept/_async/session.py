@@ -355,8 +355,9 @@ class AsyncSessions(AsyncBound):
 
     async def get(self, session_id: str) -> AsyncSession:
         """A session that exists."""
-        info = await self._transport.call(sessions.get(session_id))
-        return AsyncSession(self._transport, info.session_id)
+        found = AsyncSession(self._transport, session_id)
+        await found.info()
+        return found
 
     def list(
         self,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from .. import _rpc
 from .._call import Call, ChunkedCall, PagedCall
-from ..errors import InvalidArgument
+from ..errors import InvalidArgument, WrongType
 from ..types.navigation import Zone, ZoneMask
 from ..types.poses import PoseAt, PoseEstimate, Scale, TrackingState, Transform
 from ..types.sensors import SensorSpec
@@ -180,6 +180,12 @@ def create(
     labels: Mapping[str, str] | None,
     request_id: str | None,
 ) -> Call[service.CreateSessionRequest, service.CreateSessionResponse, SessionInfo]:
+    if not (session_id is None or isinstance(session_id, str)):
+        message = f"session_id is {session_id!r}; give an id, e.g. 'robot-7', or none to have one chosen"
+        raise WrongType(message, reason="ID_INVALID", field="session_id")
+    if not isinstance(specs, Iterable) or not all(isinstance(spec, SensorSpec) for spec in specs):
+        message = f"sensors is {specs!r:.200}; give a list of SensorSpec"
+        raise WrongType(message, reason="ARGUMENT_INVALID", field="sensors")
     request = service.CreateSessionRequest(
         session_id=session_id,
         display_name=display_name,

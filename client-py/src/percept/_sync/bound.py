@@ -7,6 +7,7 @@ import copy
 from collections.abc import Mapping
 from typing import TypeVar
 
+from ..errors import WrongType
 from .transport import Transport
 
 B = TypeVar("B", bound="Bound")
@@ -37,5 +38,8 @@ class SessionBound(Bound):
 
     def __init__(self, transport: Transport, session_id: str) -> None:
         super().__init__(transport)
+        if not isinstance(session_id, str):
+            message = f"session_id is {session_id!r}; give its id, e.g. 'robot-7'"
+            raise WrongType(message, reason="ID_INVALID", field="session_id")
         #: Name of the session.
         self.session_id = session_id

@@ -17,6 +17,9 @@ class Pages(Iterator[T], Generic[T]):
     def __init__(self, elements: Iterator[T]) -> None:
         self._elements = elements
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: asked for as they are used in a loop; .all() gives a list>"
+
     def __iter__(self) -> Pages[T]:
         return self
 

@@ -356,8 +356,9 @@ class Sessions(Bound):
 
     def get(self, session_id: str) -> Session:
         """A session that exists."""
-        info = self._transport.call(sessions.get(session_id))
-        return Session(self._transport, info.session_id)
+        found = Session(self._transport, session_id)
+        found.info()
+        return found
 
     def list(
         self,

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from .._arrays import Array, checked, same_length, vector
+from .._arrays import Array, checked, number, same_length, vector
 from ..errors import InvalidArgument
 from ._value import Value
 from .cloud import PointCloud
@@ -35,6 +35,16 @@ def _depth(image: Array | EncodedImage, metres_per_unit: float | None) -> Array 
     if units and metres_per_unit is None:
         message = "metres_per_unit is missing; depth in integer units needs it, e.g. 0.001 for millimetres"
         raise InvalidArgument(message, reason="FIELD_MISSING", field="metres_per_unit")
+    if metres_per_unit is not None:
+        must = "a number of metres above 0, e.g. 0.001 for millimetres"
+        scale = number("metres_per_unit", metres_per_unit, low=0, must=must)
+        # It would be left aside without a word, and depth in millimetres taken for metres.
+        if isinstance(image, np.ndarray) and not units and scale != 1:
+            message = (
+                f"metres_per_unit is {metres_per_unit!r}, but depth of float32 is in metres; leave it out, "
+                "and multiply depth by it if that is in other units"
+            )
+            raise InvalidArgument(message, reason="OPTIONS_CONFLICT", field="metres_per_unit")
     return image
 
 
