@@ -2,6 +2,8 @@
 
 import dataclasses
 import html.parser
+import importlib
+import subprocess
 import sys
 
 import numpy as np
@@ -135,6 +137,30 @@ def in_metres(axes):
     length = (bar.xyann[0] - bar.xy[0]) * (high - low)
     assert float(text.get_text().removesuffix(" m")) == pytest.approx(length)
     return {text.get_text() for text in axes.get_legend().get_texts()} if axes.get_legend() else set()
+
+
+def test_what_a_session_has_mapped_is_one_drawing():
+    pytest.importorskip("matplotlib")
+    axes = percept.plot.session("hall", GRID, WAY, [thing(7)])
+    assert {"free", "trajectory", "table"} <= in_metres(axes)
+    assert axes.get_title() == "hall, 7.0 m"
+    nothing = dataclasses.replace(WAY, positions=np.zeros((0, 3)), states=())
+    axes = percept.plot.session("hall", NO_GRID, nothing, [])
+    assert "empty" in [text.get_text() for text in axes.texts]
+
+
+def test_plots_are_there_with_the_package():
+    # The documentation says percept.plot.occupancy(...) after `import percept`.
+    there = "import percept, sys; percept.plot.occupancy; assert 'matplotlib' not in sys.modules"
+    subprocess.run([sys.executable, "-c", there], check=True)
+
+
+def test_zenoh_says_what_to_install(monkeypatch):
+    # The module is called zenoh, the package is not.
+    monkeypatch.setitem(sys.modules, "zenoh", None)
+    monkeypatch.delitem(sys.modules, "percept.zenoh", raising=False)
+    with pytest.raises(ImportError, match=r"needs eclipse-zenoh, .*: pip install 'percept\[zenoh\]'"):
+        importlib.import_module("percept.zenoh")
 
 
 def test_what_is_drawn_over_a_map_keeps_its_metres():

@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 
 import percept
 import pytest
 from percept import (
     AlreadyExists,
     AsyncClient,
+    FailedPrecondition,
     InvalidArgument,
     Keyframe,
     NotFound,
+    Pose,
     PoseEstimate,
     Resync,
     SensorSpec,
@@ -67,6 +70,19 @@ def test_a_name_that_is_taken_is_refused(client, name):
     with pytest.raises(AlreadyExists) as error:
         client.sessions.create(name)
     assert (error.value.reason, error.value.field) == ("SESSION_EXISTS", "session_id")
+
+
+def test_a_program_that_is_run_again_goes_on_with_its_session(client, name):
+    second = dataclasses.replace(world.LASER, sensor_id="second")
+    first = client.sessions.create(name, sensors=[world.LASER], exist_ok=True)
+    first.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
+    again = client.sessions.create(name, sensors=[world.LASER, second], exist_ok=True)
+    assert again.pose() == first.pose()
+    assert {s.spec.sensor_id for s in again.sensors.list()} == {"laser", "second"}
+    moved = dataclasses.replace(world.LASER, t_base_sensor=Pose.from_xyz(1.0, 0.0, 0.0))
+    with pytest.raises(FailedPrecondition) as error:
+        client.sessions.create(name, sensors=[moved], exist_ok=True)
+    assert error.value.reason == "SENSOR_IN_USE"
 
 
 @pytest.mark.parametrize("bad", ["a/b", "..", "ü", "a b", "x" * 65])

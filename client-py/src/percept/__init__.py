@@ -1,9 +1,10 @@
 """percept: sensor data in; poses, maps, objects, scene graphs and paths out.
 
-Start with `Client` (blocking) or `AsyncClient`; `percept.zenoh` publishes sensors over zenoh. Metres,
-radians, nanoseconds; `t_a_b` maps coordinates in b to coordinates in a; arrays are numpy.
+Start with `Client` (blocking) or `AsyncClient`; `percept.plot` draws, `percept.zenoh` publishes sensors over
+zenoh. Metres, radians, nanoseconds; `t_a_b` maps coordinates in b to coordinates in a; arrays are numpy.
 """
 
+from . import plot as plot
 from ._async.client import (
     AsyncClient,
 )

@@ -6,6 +6,8 @@ above, with labels, a scale bar and a legend; with `axes` it draws over what is 
     percept.plot.path(session.plan((2.0, 1.0)), axes=axes)
     axes.figure.savefig("map.png")
 
+`session.plot()` draws what a session has mapped, all at once.
+
 Without matplotlib they raise ImportError.
 """
 
@@ -31,7 +33,7 @@ from .types.navigation import GridMap, NoPath, Path
 from .types.scene import Object, SceneGraph, SceneNodeKind
 from .types.sessions import Trajectory
 
-__all__ = ["cloud", "objects", "occupancy", "path", "scene", "trajectories", "trajectory"]
+__all__ = ["cloud", "objects", "occupancy", "path", "scene", "session", "trajectories", "trajectory"]
 
 Floats = npt.NDArray[np.float64]
 #: More points than this are thinned evenly: a picture of a few hundred thousand pixels shows no more.
@@ -134,6 +136,23 @@ def trajectory(way: Trajectory, *, axes: Any = None) -> Any:  # noqa: ANN401
     return _finished(axes)
 
 
+def session(
+    name: str,
+    grid: OccupancyGrid,
+    way: Trajectory,
+    things: Iterable[Object],
+    *,
+    axes: Any = None,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
+    """What a session has mapped: cells, trajectory, things. `session.plot()` asks for them and draws this."""
+    axes = occupancy(grid, axes=axes)
+    if len(way.positions):
+        trajectory(way, axes=axes)
+    objects(things, axes=axes)
+    axes.set(title=f"{name}, {way.length_m:.1f} m")
+    return axes
+
+
 def path(found: Path | CoveragePath | FlightPath | NoPath, *, axes: Any = None) -> Any:  # noqa: ANN401
     """A path from start (circle) to goal (star), stretches that are driven backwards dashed; of no path, what
     blocks it, if that is known, and the reason as the title."""
@@ -210,7 +229,8 @@ def objects(things: Iterable[Object], *, axes: Any = None) -> Any:  # noqa: ANN4
     axes = _axes(axes, title="Objects")
     colours: dict[str, str] = {}
     for thing in things:
-        colour = colours.setdefault(thing.label, f"C{len(colours) % 10}")
+        # The first colour is the trajectory's.
+        colour = colours.setdefault(thing.label, f"C{1 + len(colours) % 9}")
         _outline(axes, thing.box, color=colour, label=thing.label, zorder=2)
         x, y = thing.box.centre[:2].tolist()
         name = f"{thing.label} {thing.object_id}"

@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
-import zenoh
 from google.protobuf.message import DecodeError, Message
 
 from ._access import FilePath, read_file
@@ -35,6 +34,13 @@ from .types.scene import Object, Rooms, SceneGraph
 from .types.sensors import SensorStatus
 from .types.sessions import SessionEvent
 from .v1 import error_pb2, map_pb2, scene_pb2, scene_service_pb2, sensors_service_pb2, session_pb2
+
+try:
+    import zenoh
+except ImportError as cause:
+    # The package is not called as the module is.
+    message = "percept.zenoh needs eclipse-zenoh, which is not installed: pip install 'percept[zenoh]'"
+    raise ImportError(message, name="zenoh") from cause
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Message)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Awaitable, Mapping, Sequence
+from typing import Any
 
+from .. import plot as picture
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
-from ..errors import WrongType
+from ..errors import AlreadyExists, WrongType
 from ..types.exploration import (
     CoverageOptions,
     CoveragePath,
@@ -128,7 +130,10 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         When the link breaks or the server restarts, the stream goes on by itself: it keeps frames until they
         are durable, and sends those again. Up to `resume_buffer_bytes` are kept, also of what is sent while
         the server is away; then `send` waits. It gives up with StreamBroken once nothing has moved for
-        `resume_timeout_s`. With `resume=False` it ends with what broke it, and keeps nothing."""
+        `resume_timeout_s`. With `resume=False` it ends with what broke it, and keeps nothing.
+
+        Use it in a `with` block, or close() it: a program that ends without may lose what it sent last, up to
+        `max_in_flight` frames. So does a block that ends by an exception, or Ctrl-C: it does not wait."""
         return AsyncFrameStream(
             self._transport,
             self.session_id,
@@ -188,6 +193,16 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         them evenly, `page_size` gives some at a time: the next page starts at `next_page_token`."""
         call = sessions.get_trajectory(self.session_id, from_ns, to_ns, max_poses, page_size, page_token)
         return await self._transport.chunks(call)
+
+    async def plot(self, *, axes: Any = None) -> Any:  # noqa: ANN401
+        """Its map from above with the trajectory and the things in it, as matplotlib axes; with `axes` drawn
+        over what is there. `percept.plot` has each by itself. Needs `pip install 'percept[plot]'`.
+
+            session.plot().figure.savefig("map.png")
+        """
+        grid, way = await self.map.occupancy(), await self.trajectory()
+        things = await self.scene.objects().all()
+        return picture.session(self.session_id, grid, way, things, axes=axes)
 
     def keyframes(self, *, page_size: int = 0) -> AsyncPages[Keyframe]:
         """Keyframes by number; pages are asked for as they are used."""
@@ -346,11 +361,24 @@ class AsyncSessions(AsyncBound):
         params: Mapping[str, object] | None = None,
         labels: Mapping[str, str] | None = None,
         request_id: str | None = None,
+        exist_ok: bool = False,
     ) -> AsyncSession:
         """Creates a session. The same request_id gives the session of the first call; without one the call
-        is unique, yet safely repeated when the server is away. `params` is nested as default_params()."""
+        is unique, yet safely repeated when the server is away. `params` is nested as default_params().
+
+        A name that is taken raises AlreadyExists, or gives that session with exist_ok, for a program that is
+        run again: sensors that it has not are declared, one that it has otherwise is refused (SENSOR_IN_USE,
+        once it has sent frames), its mode, parameters and labels stay as they are."""
         call = sessions.create(session_id, display_name, mode, sensors, params, labels, request_id)
-        info = await self._transport.call(call)
+        try:
+            info = await self._transport.call(call)
+        except AlreadyExists as error:
+            if not exist_ok or session_id is None or error.reason != "SESSION_EXISTS":
+                raise
+            found = AsyncSession(self._transport, session_id)
+            for sensor in sensors:
+                await found.sensors.declare(sensor)
+            return found
         return AsyncSession(self._transport, info.session_id)
 
     async def get(self, session_id: str) -> AsyncSession:
