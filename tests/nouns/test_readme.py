@@ -22,9 +22,10 @@ def test_every_snippet_runs(tmp_path):
     # One interpreter, as a reader's: later snippets use what earlier ones have made.
     script = "\n".join(f"exec(compile({snippet!r}, 'snippet {i}', 'exec'))" for i, snippet in enumerate(snippets))
     try:
-        # What a reader has by then: a robot that the README has had simulated, and a cloud.
-        sim = [binary(), "sim", "--session", "demo", "--duration-s", "2", "--server", server.grpc]
-        subprocess.run(sim, check=True, capture_output=True, timeout=120)
+        # What a reader has by then: a robot that the README has had simulated, a recording of their own, and a cloud.
+        for session in ("demo", "mine"):
+            sim = [binary(), "sim", "--session", session, "--duration-s", "2", "--server", server.grpc]
+            subprocess.run(sim, check=True, capture_output=True, timeout=120)
         with Client(server.grpc) as client:
             client.toolbox.write_cloud(world.cloud(world.drive(1)[0]), tmp_path / "room.pcd")
         command = [sys.executable, "-c", script]
