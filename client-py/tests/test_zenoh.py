@@ -52,6 +52,14 @@ def test_nobody_there_is_said(peer):
         assert error.value.reason == "NO_SUBSCRIBER"
 
 
+@pytest.mark.parametrize("endpoint", ["127.0.0.1:7447", "http://127.0.0.1:7447", "", None, 7447])
+def test_an_endpoint_in_another_form_is_told_how_it_is_written(endpoint):
+    # The address of gRPC is written without tcp/; zenoh's own error names files of its build.
+    with pytest.raises(InvalidArgument, match="write tcp/host:port") as error:
+        pz.SensorPublisher(endpoint, session_id="s")
+    assert (error.value.reason, error.value.field) == ("ADDRESS_INVALID", "endpoint")
+
+
 def test_queries_are_answered_or_raise_what_the_server_says(peer):
     server, endpoint = peer
     where = map_pb2.GridGeometry(resolution_m=0.1, width=2, height=2)

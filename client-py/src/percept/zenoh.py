@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -100,6 +101,9 @@ def _path(path: FilePath | None) -> str | None:
 
 
 def _open(endpoint: str, namespace: str, timeout_s: float, credentials: Credentials | None) -> Any:  # noqa: ANN401
+    if not (isinstance(endpoint, str) and re.match(r"[a-z0-9_-]+/.", endpoint)):
+        message = f"endpoint is {endpoint!r}; write tcp/host:port or tls/host:port, e.g. tcp/127.0.0.1:7447"
+        raise InvalidArgument(message, reason="ADDRESS_INVALID", field="endpoint")
     config = zenoh.Config()
     settings: dict[str, object] = {
         **({"namespace": namespace} if namespace else {}),
