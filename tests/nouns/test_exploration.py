@@ -146,6 +146,8 @@ def test_what_flies_keeps_out_of_zones_at_any_height(lidar_session):
         return lidar_session.plan_flight(goal, start=start, options=FlightOptions(robot_radius_m=0.2, **options))
 
     free, zone = fly(), around(0.75, 1.0, 0.3)
+    in_time = fly(deadline_ms=600_000)
+    assert in_time.is_final and in_time.bound == 1.0 and in_time.length_m == free.length_m
     round_it = fly(zones=[zone])
     assert isinstance(free, FlightPath) and isinstance(round_it, FlightPath), round_it
     assert round_it.length_m > free.length_m + 0.05

@@ -124,6 +124,8 @@ def _flown(answer: service.PlanFlightResponse) -> FlightPath | NoFlight:
             waypoints=np.array([(p.x, p.y, p.z) for p in found.waypoints], np.float64).reshape(-1, 3),
             length_m=found.length_m,
             min_clearance_m=found.min_clearance_m if found.HasField("min_clearance_m") else None,
+            bound=found.bound,
+            is_final=found.is_final,
             stamp=stamp,
         )
     none = answer.no_path

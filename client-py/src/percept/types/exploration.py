@@ -97,7 +97,7 @@ class FlightOptions(Value):
     min_z_m: float | None = None
     #: And at or below this one.
     max_z_m: float | None = None
-    #: The search is given up after so many milliseconds; 0: when it is done.
+    #: The search ends with the best path so far after so many milliseconds; 0: when it is done.
     deadline_ms: int = 0
     #: Besides those of the session: no part of the ball enters one that is keep-out, at any height.
     zones: Sequence[Zone] = ()
@@ -115,6 +115,11 @@ class FlightPath(Value):
     length_m: float
     #: Smallest distance to an obstacle's voxel, metres; None if it is more than the radius and two voxels.
     min_clearance_m: float | None
+    #: The length from voxel to voxel, before corners are left out, is at most so many times the least;
+    #: 1 if the search was done.
+    bound: float
+    #: False: the search was ended before it was done, with this as the best so far.
+    is_final: bool
     #: State of the map that was searched.
     stamp: MapStamp
 

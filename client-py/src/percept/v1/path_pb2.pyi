@@ -892,7 +892,9 @@ class FlightOptions(_message.Message):
     max_z_m: _builtins.float
     """The ball's centre keeps at or below this height, map frame, metres."""
     deadline_ms: _builtins.int
-    """The search is given up after so many milliseconds. 0: when it is done."""
+    """The search ends with the best path so far after so many milliseconds: see FlightPath.is_final and FlightPath.bound. DEADLINE is
+    the answer only if there is none by then. 0: when it is done.
+    """
     ignore_session_zones: _builtins.bool
     """True: the zones of the session do not count."""
     @_builtins.property
@@ -949,10 +951,16 @@ class FlightPath(_message.Message):
     WAYPOINTS_FIELD_NUMBER: _builtins.int
     LENGTH_M_FIELD_NUMBER: _builtins.int
     MIN_CLEARANCE_M_FIELD_NUMBER: _builtins.int
+    BOUND_FIELD_NUMBER: _builtins.int
+    IS_FINAL_FIELD_NUMBER: _builtins.int
     length_m: _builtins.float
     """Metres."""
     min_clearance_m: _builtins.float
     """Smallest distance of the ball's centre from an obstacle's voxel, metres. Absent if it is more than the radius and two voxels."""
+    bound: _builtins.float
+    """Its length from voxel to voxel, before corners are left out, is at most so many times the least; 1 if the search was done."""
+    is_final: _builtins.bool
+    """False: the search was ended before it was done, with this as the best so far."""
     @_builtins.property
     def waypoints(self) -> _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector3]:
         """From start to goal, straight in between, map frame, metres."""
@@ -963,10 +971,12 @@ class FlightPath(_message.Message):
         waypoints: _abc.Iterable[_geometry_pb2.Vector3] | None = ...,
         length_m: _builtins.float = ...,
         min_clearance_m: _builtins.float | None = ...,
+        bound: _builtins.float = ...,
+        is_final: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "min_clearance_m", b"min_clearance_m"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "length_m", b"length_m", "min_clearance_m", b"min_clearance_m", "waypoints", b"waypoints"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m", "bound", b"bound", "is_final", b"is_final", "length_m", b"length_m", "min_clearance_m", b"min_clearance_m", "waypoints", b"waypoints"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__min_clearance_m: _TypeAlias = _typing.Literal["min_clearance_m"]  # noqa: Y015
     _WhichOneofArgType__min_clearance_m: _TypeAlias = _typing.Literal["_min_clearance_m", b"_min_clearance_m"]  # noqa: Y015

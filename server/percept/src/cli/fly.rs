@@ -135,11 +135,11 @@ fn on_file(args: &FlyArgs, file: &Path) -> Result<v1::PlanFlightResponse, Failur
     asked.params.max_voxels = MAX_VOXELS;
     let voxels = voxels_of(&map, asked.region.as_ref())?;
     let begun = Instant::now();
-    let stop = move || asked.deadline.is_some_and(|deadline: Duration| begun.elapsed() >= deadline);
+    let stop = asked.deadline.map(|deadline: Duration| move || begun.elapsed() >= deadline);
     let start = asked.start.ok_or("a path through a map file needs a --start")?;
     let request = FlightRequest {
         planner: asked.planner,
-        stop: Some(&stop),
+        stop: stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync)),
         ..FlightRequest::new(start, asked.goal, &asked.params)
     };
     let outcome = plan_flight(&voxels, &request)?;
@@ -196,6 +196,12 @@ fn tell(path: &v1::FlightPath) {
     match path.min_clearance_m {
         Some(least) => println!("{:>10}  never nearer than {least:.2} m to an obstacle", "clearance"),
         None => println!("{:>10}  no obstacle near", "clearance"),
+    }
+    if !path.is_final {
+        println!(
+            "{:>10}  the search was ended before it was done; over voxels this is at most {:.2} times as long as need be",
+            "not final", path.bound
+        );
     }
 }
 

@@ -109,7 +109,7 @@ impl Field<'_> {
     }
 
     /// The shortest way from voxel to voxel where there is no obstacle.
-    fn unobstructed(&self, a: [usize; 3], b: [usize; 3]) -> u64 {
+    pub(super) fn unobstructed(&self, a: [usize; 3], b: [usize; 3]) -> u64 {
         let mut d: [u64; 3] = std::array::from_fn(|i| a[i].abs_diff(b[i]) as u64);
         d.sort_unstable();
         d[0] * SPACE_DIAGONAL + (d[1] - d[0]) * DIAGONAL + (d[2] - d[1]) * ONE
@@ -160,7 +160,7 @@ impl Field<'_> {
     }
 
     /// Back from the goal along steps whose lengths add up.
-    fn trace(&self, lengths: &[u64], goal: usize) -> Vec<usize> {
+    pub(super) fn trace(&self, lengths: &[u64], goal: usize) -> Vec<usize> {
         let mut out = vec![goal];
         let mut at = goal;
         while lengths[at] != 1 {

@@ -15,6 +15,7 @@ mod params;
 mod plan;
 mod request;
 mod sight;
+mod soon;
 mod theta;
 mod voxels;
 

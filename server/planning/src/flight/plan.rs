@@ -19,6 +19,10 @@ pub struct FlightPath {
     pub min_clearance_m: Option<f64>,
     /// Voxels that the searches expanded.
     pub expansions: usize,
+    /// Its length from voxel to voxel, before corners are left out, is at most so many times the least.
+    pub bound: f64,
+    /// Whether the searches came to their end; else this is the best so far.
+    pub is_final: bool,
 }
 
 /// The answer to a question for a path in space.
@@ -70,7 +74,8 @@ fn route(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<FlightPath
     let mut field = Field::new(voxels, request, &start);
     let from = check_start(&mut field, voxels, &start, params)?;
     let to = check_goal(&field, &goal, params)?;
-    let limits = Limits { max_expansions: params.max_expansions, stop: request.stop };
+    let limits =
+        |spent: usize| Limits { max_expansions: params.max_expansions.saturating_sub(spent), stop: request.stop };
     let raw = |way: Vec<usize>| {
         let mut out = vec![start];
         out.extend(way.into_iter().map(|index| field.center(index)));
@@ -78,26 +83,48 @@ fn route(voxels: &DenseVoxels, request: &FlightRequest<'_>) -> Result<FlightPath
         out.dedup();
         out
     };
-    let (by_voxels, expansions) = match field.shortest_over_voxels(from, to, &limits) {
-        Found::Way { voxels, expansions } => (raw(voxels), expansions),
-        Found::Limit => return Err(NoPathReason::SearchLimit.into()),
-        Found::Stopped => return Err(NoPathReason::Stopped.into()),
-        Found::Nothing { got_free: true } => return Err(NoPathReason::Unreachable.into()),
-        Found::Nothing { got_free: false } => return Err(field.refusal(NoPathReason::StartDoesNotFit, &start)),
+    // By voxels alone, or with the corners left out that can be.
+    let drawn = |by_voxels: Vec<Point3<f64>>| match request.planner {
+        FlightPlanner::Lattice => measured(&field, voxels, request, by_voxels),
+        FlightPlanner::AnyAngle => measured(&field, voxels, request, taut(&field, &by_voxels)),
     };
-    if request.planner == FlightPlanner::Lattice {
-        return Ok(FlightPath { expansions, ..measured(&field, voxels, request, by_voxels) });
+    let none = |found: &Found| match found {
+        Found::Limit => NoPathReason::SearchLimit.into(),
+        Found::Stopped => NoPathReason::Stopped.into(),
+        Found::Nothing { got_free: false } => field.refusal(NoPathReason::StartDoesNotFit, &start),
+        _ => NoPathReason::Unreachable.into(),
+    };
+    let (mut soon, mut spent) = (None, 0);
+    if request.stop.is_some() {
+        match field.soon_over_voxels(from, to, &limits(0)) {
+            Found::Way { voxels: way, expansions } => {
+                let center = |index: &usize| field.center(*index);
+                let length = way.windows(2).map(|pair| (center(&pair[1]) - center(&pair[0])).norm()).sum();
+                (soon, spent) = (Some((way, field.soon_bound((from, to), length))), expansions);
+            }
+            ended => return Err(none(&ended)),
+        }
     }
-    let pulled = measured(&field, voxels, request, taut(&field, &by_voxels));
-    let limits = Limits { max_expansions: params.max_expansions.saturating_sub(expansions), ..limits };
-    Ok(match field.any_angle(from, to, &limits) {
+    let (by_voxels, expansions) = match (field.shortest_over_voxels(from, to, &limits(spent)), soon) {
+        (Found::Way { voxels, expansions }, _) => (raw(voxels), spent + expansions),
+        (Found::Limit | Found::Stopped, Some((way, bound))) => {
+            return Ok(FlightPath { expansions: spent, bound, is_final: false, ..drawn(raw(way)) });
+        }
+        (ended, _) => return Err(none(&ended)),
+    };
+    let by_voxels = FlightPath { expansions, ..drawn(by_voxels) };
+    if request.planner == FlightPlanner::Lattice {
+        return Ok(by_voxels);
+    }
+    Ok(match field.any_angle(from, to, &limits(expansions)) {
         Found::Way { voxels: corners, expansions: more } => {
             let path = measured(&field, voxels, request, taut(&field, &raw(corners)));
-            let shorter = if path.length_m < pulled.length_m { path } else { pulled };
+            let shorter = if path.length_m < by_voxels.length_m { path } else { by_voxels };
             FlightPath { expansions: expansions + more, ..shorter }
         }
         // What A* found is a path all the same.
-        _ => FlightPath { expansions, ..pulled },
+        Found::Limit | Found::Stopped => FlightPath { is_final: false, ..by_voxels },
+        Found::Nothing { .. } => by_voxels,
     })
 }
 
@@ -141,5 +168,5 @@ fn measured(
     (waypoints[0], waypoints[last]) = (request.start, request.goal);
     let length_m = waypoints.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
     let min_clearance_m = (nearest < field.farthest()).then_some(nearest * size);
-    FlightPath { waypoints, length_m, min_clearance_m, expansions: 0 }
+    FlightPath { waypoints, length_m, min_clearance_m, expansions: 0, bound: 1.0, is_final: true }
 }

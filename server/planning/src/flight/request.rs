@@ -19,7 +19,8 @@ pub struct FlightRequest<'a> {
     pub zones: &'a [Zone],
     /// The same as grids: a cell closes all columns of voxels that it touches.
     pub masks: &'a [Mask<'a>],
-    /// Asked before the search and from time to time in it, say for a deadline: once it is true, the search ends.
+    /// Asked before the search and from time to time in it, say for a deadline: once it is true, the search ends with the best path
+    /// found so far, if any. A path is looked for first that may be twice as long as the shortest over voxels.
     pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 

@@ -9,6 +9,7 @@ use percept_planning::flight::{
 use percept_planning::{CellState, Mask, MaskKind, NoPathReason, PlanError, Zone, ZoneKind};
 use proptest::prelude::*;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 const SIZE: f64 = 0.2;
 
@@ -148,7 +149,7 @@ proptest! {
     #[test]
     fn ways_over_voxels_are_the_shortest_and_those_at_any_angle_no_longer_and_both_are_clear(
         x in 3usize..11, y in 3usize..9, z in 3usize..7, seed in any::<u64>(), share in 0u64..60,
-        ends in prop::array::uniform6(0usize..100), radius in 0usize..4, allow_unknown: bool,
+        ends in prop::array::uniform6(0usize..100), radius in 0usize..4, allow_unknown: bool, stops in 0usize..5,
     ) {
         let voxels = random_box([x, y, z], seed, share);
         let (from, to) = ([ends[0] % x, ends[1] % y, ends[2] % z], [ends[3] % x, ends[4] % y, ends[5] % z]);
@@ -166,6 +167,24 @@ proptest! {
                 prop_assert!(any.length_m <= found.length_m + 1e-9 && any.length_m >= (goal - start).norm() - 1e-9);
                 prop_assert_eq!((any.waypoints[0], any.waypoints[any.waypoints.len() - 1]), (start, goal));
                 check(&voxels, &any, &params);
+                prop_assert!(any.is_final && any.bound == 1.0);
+                // With a deadline, whatever is known by then.
+                for asked in [lattice, request] {
+                    let left = std::sync::atomic::AtomicUsize::new(stops);
+                    let stop = || left.fetch_update(Relaxed, Relaxed, |n| n.checked_sub(1)).is_err();
+                    match plan_flight(&voxels, &FlightRequest { stop: Some(&stop), ..asked }).unwrap() {
+                        FlightOutcome::Path(in_time) => {
+                            check(&voxels, &in_time, &params);
+                            let known = if asked.planner == FlightPlanner::Lattice { &found } else { &any };
+                            if in_time.is_final {
+                                prop_assert_eq!((&in_time.waypoints, in_time.bound), (&known.waypoints, 1.0));
+                            }
+                            let most = in_time.bound * length + 1e-6;
+                            prop_assert!(in_time.bound <= 2.0 && in_time.length_m <= most, "{in_time:?} {length}");
+                        }
+                        outcome => prop_assert!(stops == 0 && reason(&outcome) == NoPathReason::Stopped),
+                    }
+                }
             }
             (FlightOutcome::NoPath { .. }, None) => {}
             (found, length) => prop_assert!(false, "{found:?} {length:?}"),
@@ -302,6 +321,23 @@ fn limits_end_the_search_and_say_so() {
     let stop = || true;
     let request = FlightRequest { stop: Some(&stop), ..FlightRequest::new(start, goal, &params) };
     assert_eq!(reason(&plan_flight(&voxels, &request).unwrap()), NoPathReason::Stopped);
+    // A way was found when the time was over.
+    let mut walled = voxels.clone();
+    (0..40).flat_map(|y| (5..40).map(move |z| [20, y, z])).for_each(|at| set(&mut walled, at, 100));
+    let request = FlightRequest::new(start, center(&walled, [36, 30, 35]), &params);
+    let done = path(&walled, &request);
+    let at_the = |nth: usize| {
+        let asked = std::sync::atomic::AtomicUsize::new(0);
+        let stop = || asked.fetch_add(1, Relaxed) >= nth;
+        match plan_flight(&walled, &FlightRequest { stop: Some(&stop), ..request }).unwrap() {
+            FlightOutcome::Path(path) => Some(path),
+            none => (reason(&none) != NoPathReason::Stopped).then(|| panic!("{none:?}")),
+        }
+    };
+    let in_time = (1..100).find_map(at_the).unwrap();
+    assert!(!in_time.is_final && in_time.bound > 1.0 && in_time.bound <= 2.0, "{in_time:?}");
+    assert!(done.is_final && in_time.length_m >= done.length_m - 1e-9);
+    check(&walled, &in_time, &params);
     assert_eq!(ask(&voxels, start, goal, &params), ask(&voxels, start, goal, &params));
 }
 

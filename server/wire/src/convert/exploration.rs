@@ -142,6 +142,8 @@ pub fn flown_to(answer: &Explored<FlightOutcome>) -> v1::PlanFlightResponse {
             waypoints: path.waypoints.iter().map(vector).collect(),
             length_m: path.length_m,
             min_clearance_m: path.min_clearance_m,
+            bound: path.bound,
+            is_final: path.is_final,
         }),
         none => {
             let (reason, blocking) = match none {
