@@ -40,6 +40,8 @@ pub struct CloudTile {
 
 /// A tile while it is composed: voxels of the map by block, none empty.
 type Under = BTreeMap<BlockKey, Block>;
+/// A block that was looked up, and what was seen through there, if anything was.
+type Looked<'a> = (BlockKey, Option<&'a Arc<Count>>);
 
 impl Layer for FusedCloud {
     type Params = CloudParams;
@@ -168,7 +170,7 @@ impl FusedCloud {
     fn carve(&self, params: &CloudParams, place: &Placement, under: &mut Under) {
         let (t_submap_map, is_aligned) = (place.t_map_submap.inverse(), place.is_aligned());
         // A block of the map lies across blocks of the submap beside each other: of these each has a place of its own.
-        let mut known: [Option<(BlockKey, Option<&Arc<Count>>)>; 8] = [None; 8];
+        let mut known: [Option<Looked<'_>>; 8] = [None; 8];
         under.retain(|key, block| {
             block.retain_mut(|v| {
                 let own = if is_aligned {
