@@ -18,15 +18,10 @@ struct Block {
     /// Those with points.
     cells: u64,
     points: u32,
+    /// Share of its points that is kept, once all are counted.
+    share: f32,
     /// What of a point is left over from those before, 0 to 1.
     carry: f32,
-}
-
-impl Block {
-    /// Share of its points that is kept.
-    fn share(&self) -> f32 {
-        self.cells.count_ones() as f32 / self.points as f32
-    }
 }
 
 /// Blocks of one grid, and the block of each point. Open addressing in a table that is kept between calls.
@@ -46,7 +41,7 @@ impl Blocks {
     }
 
     /// Counts a point in its cell.
-    #[inline]
+    #[inline(always)]
     fn add(&mut self, cell: [i32; 3]) {
         // 21 bits an axis: coordinates wrap far beyond a lidar's range.
         let [x, y, z] = cell.map(|c| (c.div_euclid(EDGE) as u64) & 0x1f_ffff);
@@ -64,6 +59,7 @@ impl Blocks {
         self.of_point.push(number);
     }
 
+    #[inline(never)]
     fn find(&mut self, key: u64) -> u32 {
         let mask = self.table.len() - 1;
         let mut slot = (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 20) as usize & mask;
@@ -71,12 +67,19 @@ impl Blocks {
             match self.table[slot] {
                 u32::MAX => {
                     self.table[slot] = self.blocks.len() as u32;
-                    self.blocks.push(Block { key, cells: 0, points: 0, carry: 0.5 });
+                    self.blocks.push(Block { key, cells: 0, points: 0, share: 0.0, carry: 0.5 });
                     return self.table[slot];
                 }
                 number if self.blocks[number as usize].key == key => return number,
                 _ => slot = (slot + 1) & mask,
             }
+        }
+    }
+
+    /// All points are counted.
+    fn settle(&mut self) {
+        for block in &mut self.blocks {
+            block.share = block.cells.count_ones() as f32 / block.points as f32;
         }
     }
 
@@ -113,11 +116,13 @@ impl Thinner {
             own.add(cell);
             other.add(cell.map(|c| c.wrapping_add(EDGE / 2)));
         }
+        own.settle();
+        other.settle();
         let mut out = Vec::with_capacity(indices.len() / 2);
         for (k, &i) in indices.iter().enumerate() {
-            let beside = other.of(k).share();
+            let beside = other.of(k).share;
             let block = own.of(k);
-            block.carry += block.share().min(beside);
+            block.carry += block.share.min(beside);
             if block.carry >= 1.0 {
                 block.carry -= 1.0;
                 out.push(i);
