@@ -119,7 +119,8 @@ pub enum FormatError {
         /// Reason as the writer gave it.
         reason: String,
     },
-    /// A recording of ROS messages that cannot be read, or has nothing to replay, in its reader's words.
+    /// A recording of ROS messages that cannot be read, or has nothing to replay, in its reader's words; when one is opened,
+    /// they begin with the file.
     #[error("{reason}")]
     Recording {
         /// What is wrong, and a remedy.
@@ -149,7 +150,7 @@ impl FormatError {
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {
-            Self::Io { .. } | Self::InFile { .. } | Self::Unrecognised { .. } => self,
+            Self::Io { .. } | Self::InFile { .. } | Self::Unrecognised { .. } | Self::Recording { .. } => self,
             error => Self::InFile { path: path.to_owned(), error: Box::new(error) },
         }
     }

@@ -181,11 +181,11 @@ pub fn open(path: &Path) -> Result<Dataset, FormatError> {
 /// A folder that is none itself, but holds folders, stands for the first of them that is one.
 ///
 /// # Errors
-/// `Unrecognised`; `Io`; errors of the small files, naming them.
+/// `Unrecognised`; `Io`; errors of the small files. Each begins with the path of the file or folder that it is about.
 pub fn open_with(path: &Path, options: &OpenOptions) -> Result<Dataset, FormatError> {
     let metadata = std::fs::metadata(path).map_err(|e| FormatError::io(path, &e))?;
-    let found = if metadata.is_dir() { open_folder(path, options)? } else { open_file(path, options)? };
-    found.ok_or_else(|| FormatError::Unrecognised { path: path.to_owned() })
+    let found = if metadata.is_dir() { open_folder(path, options) } else { open_file(path, options) };
+    found.map_err(|e| e.in_file(path))?.ok_or_else(|| FormatError::Unrecognised { path: path.to_owned() })
 }
 
 fn open_file(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {

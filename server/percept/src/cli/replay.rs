@@ -82,7 +82,7 @@ impl RosArgs {
     pub(crate) fn open(&self, path: &Path, depth_only: bool) -> Result<Dataset, Failure> {
         let (topic, base_frame) = (self.topic.clone(), self.base_frame.clone());
         let options = OpenOptions { depth_only, topic, base_frame, ..OpenOptions::default() };
-        dataset::open_with(path, &options).map_err(|e| format!("{}: {e}", path.display()).into())
+        Ok(dataset::open_with(path, &options)?)
     }
 }
 
