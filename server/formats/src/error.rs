@@ -111,6 +111,34 @@ pub enum FormatError {
         /// What each row is for.
         of: &'static str,
     },
+    /// A calibration of images of another size.
+    #[error(
+        "{field} is {declared_width} x {declared_height}, the images are {width} x {height}; calibrate for their size"
+    )]
+    ImageSize {
+        /// What declares a size.
+        field: &'static str,
+        /// Columns declared.
+        declared_width: usize,
+        /// Rows declared.
+        declared_height: usize,
+        /// Columns of the images.
+        width: usize,
+        /// Rows of the images.
+        height: usize,
+    },
+    /// Depth and colour that do not go together, frame by frame.
+    #[error(
+        "{num_color} colour images for {num_depth} depth images, and {lone} has no other; add or remove one, or leave colour out"
+    )]
+    UnpairedImages {
+        /// Colour images.
+        num_color: usize,
+        /// Depth images.
+        num_depth: usize,
+        /// The first file, with its folder, that is alone.
+        lone: String,
+    },
     /// The writer that was handed in refused.
     #[error("write: {reason}")]
     Write {
@@ -128,7 +156,8 @@ pub enum FormatError {
     },
     /// A path that holds none of the data sets that are known.
     #[error(
-        "{}: not a 7-Scenes, TUM RGB-D or KITTI velodyne folder, CARMEN log, recording of ROS (.mcap, .db3, .bag), nor PCD or PLY cloud(s)",
+        "{}: not a 7-Scenes, TUM RGB-D or KITTI velodyne folder, RGB-D images in folders color and depth, CARMEN log, \
+         recording of ROS (.mcap, .db3, .bag), nor PCD or PLY cloud(s)",
         path.display()
     )]
     Unrecognised {

@@ -21,6 +21,7 @@ mod layout;
 mod limits;
 pub mod nav2;
 pub mod octomap;
+pub mod open3d;
 pub mod pcd;
 pub mod pgm;
 pub mod ply;

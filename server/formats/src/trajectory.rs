@@ -40,6 +40,15 @@ fn rounded_pose(line: &Line<'_>, v: &[f64; 7]) -> Result<Pose, FormatError> {
     Ok(se3::pose_from_parts("pose", [v[0], v[1], v[2]], [3, 4, 5, 6].map(|i| v[i] / scale))?)
 }
 
+/// Poses in the order of frames, as slambook2 has them: rows `x y z qx qy qz qw` (m), a quaternion's norm as in [`parse_tum`].
+///
+/// # Errors
+/// `Malformed` with the line, for a row that does not hold these seven numbers.
+pub fn parse_pose_rows(bytes: &[u8]) -> Result<Vec<Pose>, FormatError> {
+    let row = |line: Line<'_>| rounded_pose(&line, &line.numbers::<7>("x y z qx qy qz qw")?);
+    Lines::new("poses", bytes).contents().map(row).collect()
+}
+
 /// EuRoC's ground truth: rows `stamp,x,y,z,qw,qx,qy,qz` (ns, m) and more columns, which are left out.
 ///
 /// Source: Burri et al., "The EuRoC micro aerial vehicle datasets", 2016.
@@ -213,7 +222,7 @@ mod tests {
         #[test]
         fn damaged_text_never_panics(bytes in "([0-9 ,.e#\n-]|nan){0,200}") {
             let _ = (parse_tum(bytes.as_bytes()), parse_kitti(bytes.as_bytes()), parse_euroc(bytes.as_bytes()));
-            let _ = (parse_redwood(bytes.as_bytes()), parse_matrix(bytes.as_bytes()));
+            let _ = (parse_redwood(bytes.as_bytes()), parse_matrix(bytes.as_bytes()), parse_pose_rows(bytes.as_bytes()));
         }
     }
 
@@ -241,6 +250,20 @@ mod tests {
         assert_eq!(refused(b"1,2,3,4,1,0,0\n"), "EuRoC, line 1: qz is 'end of line', expected a value");
         assert_eq!(refused(b"1,2,3,4,,0,0,1\n"), "EuRoC, line 1: qw is '', expected a finite number");
         assert_eq!(refused(b"1.5,2,3,4,1,0,0,0\n"), "EuRoC, line 1: stamp is '1.5', expected nanoseconds");
+    }
+
+    #[test]
+    fn pose_rows_have_no_stamp_and_the_real_part_last() {
+        let poses = parse_pose_rows(b"1 2 3 0 0 0.6 0.8\n-1 0 0 0 0 0 1").unwrap();
+        assert_eq!(poses[0].translation.vector.as_slice(), [1.0, 2.0, 3.0]);
+        assert_eq!((poses.len(), se3::quaternion_xyzw(&poses[0])), (2, [0.0, 0.0, 0.6, 0.8]));
+        let refused = |text: &[u8]| parse_pose_rows(text).unwrap_err().to_string();
+        assert!(
+            refused(b"0 0 0 0 0 0 1\n1 2 3 0 0 0\n").starts_with("poses, line 2: x y z qx qy qz qw is 'end of line'")
+        );
+        assert!(refused(b"1 2 3 0 0 0 1 9\n").contains("row is '9', expected end of line"));
+        assert!(refused(b"1 2 inf 0 0 0 1\n").contains("'inf', expected a finite number"));
+        assert!(refused(b"1 2 3 0 0 0 0\n").contains("quaternion norm is '0'"));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! Start with [`open`]. What is recognised:
 //! - 7-Scenes: `frame-XXXXXX.depth.png`, `.color.(png|jpg)`, `.pose.txt`, perhaps `camera-intrinsics.txt`;
 //! - TUM RGB-D: `depth.txt`, `rgb.txt`, `groundtruth.txt`;
+//! - Open3D, Redwood, slambook2: folders `color` and `depth` of images, perhaps `camera_intrinsic.json`, a `.log` or a `pose.txt`;
 //! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
 //! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
 //! - PCD and PLY: a file, or a folder of them, perhaps with `times*.txt` or `groundtruth*.tum`;
@@ -15,6 +16,7 @@ mod carmen;
 mod clouds;
 mod files;
 mod frames;
+mod image_folders;
 mod kitti;
 mod rgbd;
 mod ros;
@@ -44,6 +46,9 @@ pub enum DatasetKind {
     /// TUM RGB-D.
     #[serde(rename = "tum")]
     Tum,
+    /// RGB-D images in folders `color` and `depth`: Open3D, Redwood, slambook2.
+    #[serde(rename = "rgbd_folders")]
+    RgbdFolders,
     /// KITTI velodyne.
     #[serde(rename = "kitti")]
     Kitti,
@@ -64,6 +69,7 @@ impl DatasetKind {
         match self {
             Self::SevenScenes => "7scenes",
             Self::Tum => "tum",
+            Self::RgbdFolders => "rgbd_folders",
             Self::Kitti => "kitti",
             Self::Carmen => "carmen",
             Self::Clouds => "clouds",
@@ -218,7 +224,8 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, Fo
 }
 
 fn open_listed(folder: &Folder, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
-    let readers = [seven_scenes::open, tum::open, kitti::open, carmen::open_folder, clouds::open_folder];
+    let readers =
+        [seven_scenes::open, tum::open, kitti::open, image_folders::open, carmen::open_folder, clouds::open_folder];
     for reader in readers {
         if let Some(dataset) = reader(folder, options)? {
             return Ok(Some(dataset));
