@@ -61,7 +61,7 @@ pub enum FormatError {
     /// A declared size beyond the caller's limit; nothing was allocated.
     #[error("{field}: {value} exceeds the limit of {limit}")]
     TooLarge {
-        /// What is limited: `num_points`, `num_pixels`, `num_bytes`.
+        /// What is limited: `num_points`, `num_rows`, `num_pixels`, `num_bytes`.
         field: &'static str,
         /// Declared size.
         value: u64,
@@ -156,7 +156,7 @@ pub enum FormatError {
     },
     /// A path that holds none of the data sets that are known.
     #[error(
-        "{}: not a 7-Scenes, TUM RGB-D or KITTI velodyne folder, RGB-D images in folders color and depth, CARMEN log, \
+        "{}: not a 7-Scenes, TUM RGB-D, EuRoC (mav0) or KITTI velodyne folder, RGB-D images in folders color and depth, CARMEN log, \
          recording of ROS (.mcap, .db3, .bag), nor PCD or PLY cloud(s)",
         path.display()
     )]

@@ -11,6 +11,7 @@ mod clouds;
 pub mod dataset;
 pub mod draco;
 mod error;
+pub mod euroc;
 pub mod g2o;
 pub mod geotiff;
 pub mod gltf;

@@ -3,9 +3,10 @@
 //! Poses are those of the file, mostly sensor to world; stamps keep every nanosecond that the file gives.
 
 use crate::FormatError;
-use crate::text::{Line, Lines, parse};
+use crate::euroc::Cells;
+use crate::text::{Line, Lines};
 use nalgebra::Matrix4;
-use percept_geometry::{Pose, Stamped, Timestamp, se3};
+use percept_geometry::{Pose, Stamped, se3};
 use std::io::Write;
 
 /// TUM: rows `stamp x y z qx qy qz qw` (s, m), comments with `#`.
@@ -59,18 +60,14 @@ pub fn parse_euroc(bytes: &[u8]) -> Result<Vec<Stamped<Pose>>, FormatError> {
     Lines::new("EuRoC", bytes).contents().map(|line| euroc_row(&line)).collect()
 }
 
-fn euroc_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
-    const NAMES: [&str; 8] = ["stamp", "x", "y", "z", "qw", "qx", "qy", "qz"];
-    let mut cells = line.bytes.split(|&b| b == b',').map(<[u8]>::trim_ascii);
-    let mut cell = |name: &str| cells.next().ok_or_else(|| line.malformed(name, b"end of line", "a value"));
-    let token = cell("stamp")?;
-    let stamp = Timestamp(parse(token).ok_or_else(|| line.malformed("stamp", token, "nanoseconds"))?);
+pub(crate) fn euroc_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
+    const NAMES: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
+    let mut cells = Cells::new(line);
+    let stamp = cells.stamp()?;
     let mut v = [0.0; 7];
     // The file has qw first.
-    for (slot, name) in [0, 1, 2, 6, 3, 4, 5].into_iter().zip(&NAMES[1..]) {
-        let token = cell(name)?;
-        let number = parse::<f64>(token).filter(|v| v.is_finite());
-        v[slot] = number.ok_or_else(|| line.malformed(name, token, "a finite number"))?;
+    for (slot, name) in [0, 1, 2, 6, 3, 4, 5].into_iter().zip(NAMES) {
+        v[slot] = cells.finite(name)?;
     }
     Ok(Stamped { stamp, value: rounded_pose(line, &v)? })
 }

@@ -1,10 +1,11 @@
-//! Folders of images made by the test: RGB-D in two folders; what is read, supposed and refused.
+//! Folders of images made by the test: RGB-D in two folders, EuRoC; what is read, supposed and refused.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use percept_formats::dataset::{Dataset, OpenOptions, open, open_with};
 use percept_formats::{DatasetKind, FormatError, images, pgm};
-use percept_geometry::{DepthImage, GrayImage, RgbImage, SensorData, SensorKind};
+use percept_geometry::camera::Distortion;
+use percept_geometry::{DepthImage, GrayImage, RgbImage, SensorData, SensorKind, Timestamp};
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -195,6 +196,149 @@ fn an_image_that_cannot_be_decoded_is_an_error_and_the_next_comes() {
     );
 }
 
+const CAM0: &str = "sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0, -1.0, 0.0, 0.25,
+         1.0, 0.0, 0.0, -0.5,
+         0.0, 0.0, 1.0, 0.125,
+         0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [8, 4]
+camera_model: pinhole
+intrinsics: [5.5, 6.5, 3.5, 1.5] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.25, 0.0625, 0.0001, 0.00001]
+";
+const IMU0: &str = "sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n 0.0, 1.0, 0.0, 0.0,\n \
+    0.0, 0.0, 1.0, 0.0,\n 0.0, 0.0, 0.0, 1.0]\nrate_hz: 200\n";
+
+/// A body that stands upright in the world, turned by 90 degrees, with x up as EuRoC's.
+fn euroc() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let gray = images::encode_gray_png(&GrayImage::new(8, 4, (0..32).collect()).unwrap()).unwrap();
+    let mav = dir.path().join("V1_00_made/mav0");
+    for stamp in ["1403715273262142976", "1403715273312143104"] {
+        write(&mav, &format!("cam0/data/{stamp}.png"), &gray);
+    }
+    let images = "#timestamp [ns],filename\r\n1403715273262142976,1403715273262142976.png\r\n\
+        1403715273312143104,1403715273312143104.png\r\n1403715273362142976,1403715273362142976.png\r\n";
+    write(&mav, "cam0/data.csv", images.as_bytes());
+    write(&mav, "cam0/sensor.yaml", CAM0.as_bytes());
+    write(&mav, "cam1/sensor.yaml", CAM0.as_bytes());
+    let imu = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],\
+        a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n1403715273262142976,0.1,0.2,0.3,9.81,0,0\n\
+        1403715273267142912,0.1,0.2,0.3,9.81,0,0\n1403715273392142848,0.1,0.2,0.3,9.81,0,0\n";
+    write(&mav, "imu0/data.csv", imu.as_bytes());
+    write(&mav, "imu0/sensor.yaml", IMU0.as_bytes());
+    let truth = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v\n\
+        1403715273262142976,1,2,3,0.7071067811865476,0,-0.7071067811865476,0,0\n\
+        1403715273312143104,1,2,4,0.7071067811865476,0,-0.7071067811865476,0,0\n";
+    write(&mav, "state_groundtruth_estimate0/data.csv", truth.as_bytes());
+    write(&mav, "leica0/data.csv", b"#timestamp\n");
+    dir
+}
+
+#[test]
+fn a_euroc_recording_is_a_camera_with_an_inertial_sensor_beside_it() {
+    let dir = euroc();
+    let sequence = dir.path().join("V1_00_made");
+    for path in [dir.path().to_owned(), sequence.clone(), sequence.join("mav0")] {
+        let dataset = open(&path).unwrap();
+        assert_eq!((dataset.kind, dataset.name.as_str()), (DatasetKind::Euroc, "V1_00_made"));
+        assert_eq!((dataset.len(), dataset.is_timed), (2, true));
+        assert_eq!(dataset.stamps()[1], Timestamp(1_403_715_273_312_143_104));
+        let kinds: Vec<SensorKind> = dataset.frames(None).map(|f| f.unwrap().data.kind()).collect();
+        let (imu, camera) = (SensorKind::Imu, SensorKind::Camera);
+        assert_eq!(kinds, [imu, camera, imu, camera, imu]);
+        let notes = dataset.notes.join("\n");
+        assert!(notes.contains("1 of 3 images of cam0/data.csv are not there"), "{notes}");
+        assert!(notes.contains("cam1 is not replayed") && notes.contains("leica0 is not replayed"), "{notes}");
+        assert_eq!(dataset.notes.len(), 3, "{notes}");
+    }
+}
+
+#[test]
+fn euroc_mounts_and_truth_are_of_the_base_that_looks_along_x() {
+    let dir = euroc();
+    let dataset = open(dir.path()).unwrap();
+    let [camera, imu] = &dataset.sensors[..] else { panic!() };
+    let i = camera.intrinsics.unwrap();
+    assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (8, 4, 5.5, 6.5, 3.5, 1.5));
+    assert_eq!(i.distortion, Distortion::PlumbBob([-0.25, 0.0625, 0.0001, 0.00001, 0.0]));
+    // The body's x points up, its y to the right, its z ahead; gravity is felt upwards.
+    let r_base_imu = imu.t_base_sensor.rotation;
+    for (of_body, of_base) in
+        [(Vector3::x(), Vector3::z()), (Vector3::y(), -Vector3::y()), (Vector3::z(), Vector3::x())]
+    {
+        assert!((r_base_imu * of_body - of_base).norm() < 1e-12);
+    }
+    let t_body_base = imu.t_base_sensor.inverse();
+    assert!((t_body_base * Point3::origin() - Point3::new(0.25, -0.5, 0.125)).norm() < 1e-12);
+    // The truth's body has its x along the world's z, and its z along the world's -x.
+    let reference = dataset.reference.as_ref().unwrap();
+    assert_eq!(dataset.reference_source.as_deref(), Some("state_groundtruth_estimate0/data.csv"));
+    let (first, second) = (&reference[0].value, &reference[1].value);
+    assert!((first.rotation * Vector3::z() - Vector3::z()).norm() < 1e-12);
+    assert!((first.rotation * Vector3::x() + Vector3::x()).norm() < 1e-12);
+    assert!((first.translation.vector - Vector3::new(1.0 - 0.125, 2.0 - 0.5, 3.0 + 0.25)).norm() < 1e-12, "{first}");
+    assert!((second.translation.vector - first.translation.vector - Vector3::z()).norm() < 1e-12);
+}
+
+#[test]
+fn a_euroc_recording_that_is_damaged_is_refused_by_file_and_line() {
+    let with = |name: &str, from: &str, to: &str| {
+        let dir = euroc();
+        let path = dir.path().join("V1_00_made/mav0").join(name);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from));
+        std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+        let words = refused(dir.path());
+        assert!(words.contains(path.to_str().unwrap()), "{words}");
+        words
+    };
+    let words = with("cam0/sensor.yaml", "[8, 4]", "[752, 480]");
+    assert!(words.ends_with("resolution is 752 x 480, the images are 8 x 4; calibrate for their size"), "{words}");
+    assert!(with("cam0/sensor.yaml", "pinhole", "omni").contains("camera_model 'omni' is not supported, only pinhole"));
+    assert!(with("cam0/sensor.yaml", "T_BS", "T").contains("T_BS: data is missing"));
+    let words = with("cam0/data.csv", "1403715273312143104,", "1403715273212143104,");
+    assert!(words.contains("line 3: stamp is '1403715273212143104', expected later"), "{words}");
+    assert!(with("cam0/data.csv", ",1403715273312143104.png", "").contains("line 3: file is 'end of line'"));
+    assert!(with("imu0/data.csv", ",0.3,9.81,0,0", ",0.3,9.8").contains("line 2: a_y is 'end of line'"));
+    assert!(with("imu0/data.csv", "0.2", "inf").contains("line 2: w_y is 'inf', expected a finite number"));
+    assert!(with("imu0/sensor.yaml", "1.0]", "2.0]").contains("the last 0, 0, 0, 1"));
+    let words = with("state_groundtruth_estimate0/data.csv", "0.7071067811865476", "0.1");
+    assert!(words.contains("line 2: quaternion norm is '0.7"), "{words}");
+
+    let dir = euroc();
+    let cam0 = dir.path().join("V1_00_made/mav0/cam0");
+    write(&cam0, "data/1403715273262142976.png", b"\x89PNG");
+    assert!(refused(dir.path()).contains("1403715273262142976.png: PNG: header needs 24 bytes"));
+    for file in ["data/1403715273262142976.png", "data/1403715273312143104.png"] {
+        std::fs::remove_file(cam0.join(file)).unwrap();
+    }
+    assert!(refused(dir.path()).contains("cam0/data.csv: EuRoC: every image of the list is missing"));
+    std::fs::remove_file(cam0.join("sensor.yaml")).unwrap();
+    assert!(refused(dir.path()).contains("cam0/sensor.yaml: No such file"));
+    std::fs::remove_dir_all(&cam0).unwrap();
+    assert!(refused(&dir.path().join("V1_00_made")).contains("cam0"));
+}
+
+#[test]
+fn a_euroc_recording_may_lack_all_but_the_camera() {
+    let dir = euroc();
+    let mav = dir.path().join("V1_00_made/mav0");
+    std::fs::remove_file(mav.join("imu0/sensor.yaml")).unwrap();
+    std::fs::remove_dir_all(mav.join("state_groundtruth_estimate0")).unwrap();
+    let dataset = open(dir.path()).unwrap();
+    assert!(dataset.notes.iter().any(|n| n.starts_with("imu0 has no sensor.yaml")), "{:?}", dataset.notes);
+    assert!(dataset.reference.is_none() && dataset.reference_source.is_none());
+    std::fs::remove_dir_all(mav.join("imu0")).unwrap();
+    let dataset = open(dir.path()).unwrap();
+    assert_eq!((dataset.sensors.len(), dataset.frames(None).count()), (1, 2));
+}
+
 /// The files below a folder.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
@@ -208,11 +352,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
     fn damaged_recordings_never_panic(
+        is_euroc in any::<bool>(),
         file in any::<prop::sample::Index>(),
         hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         end in prop::option::of(any::<prop::sample::Index>()),
     ) {
-        let dir = redwood();
+        let dir = if is_euroc { euroc() } else { redwood() };
         let files = files(dir.path());
         let path = &files[file.index(files.len())];
         let mut bytes = std::fs::read(path).unwrap();

@@ -3,6 +3,7 @@
 //! Start with [`open`]. What is recognised:
 //! - 7-Scenes: `frame-XXXXXX.depth.png`, `.color.(png|jpg)`, `.pose.txt`, perhaps `camera-intrinsics.txt`;
 //! - TUM RGB-D: `depth.txt`, `rgb.txt`, `groundtruth.txt`;
+//! - EuRoC MAV: `mav0` with `cam0`, perhaps `imu0` and `state_groundtruth_estimate0`;
 //! - Open3D, Redwood, slambook2: folders `color` and `depth` of images, perhaps `camera_intrinsic.json`, a `.log` or a `pose.txt`;
 //! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
 //! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
@@ -14,6 +15,7 @@
 
 mod carmen;
 mod clouds;
+mod euroc;
 mod files;
 mod frames;
 mod image_folders;
@@ -49,6 +51,9 @@ pub enum DatasetKind {
     /// RGB-D images in folders `color` and `depth`: Open3D, Redwood, slambook2.
     #[serde(rename = "rgbd_folders")]
     RgbdFolders,
+    /// EuRoC MAV: a camera and an inertial sensor.
+    #[serde(rename = "euroc")]
+    Euroc,
     /// KITTI velodyne.
     #[serde(rename = "kitti")]
     Kitti,
@@ -70,6 +75,7 @@ impl DatasetKind {
             Self::SevenScenes => "7scenes",
             Self::Tum => "tum",
             Self::RgbdFolders => "rgbd_folders",
+            Self::Euroc => "euroc",
             Self::Kitti => "kitti",
             Self::Carmen => "carmen",
             Self::Clouds => "clouds",
@@ -224,8 +230,15 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, Fo
 }
 
 fn open_listed(folder: &Folder, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
-    let readers =
-        [seven_scenes::open, tum::open, kitti::open, image_folders::open, carmen::open_folder, clouds::open_folder];
+    let readers = [
+        seven_scenes::open,
+        tum::open,
+        kitti::open,
+        euroc::open,
+        image_folders::open,
+        carmen::open_folder,
+        clouds::open_folder,
+    ];
     for reader in readers {
         if let Some(dataset) = reader(folder, options)? {
             return Ok(Some(dataset));
