@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
-    /// A 7-Scenes, TUM RGB-D or KITTI velodyne folder, a CARMEN log, a PCD or PLY file or a folder of them, an MCAP file, a rosbag2
-    /// or a bag of ROS 1.
+    /// A 7-Scenes, TUM RGB-D, EuRoC (mav0) or KITTI velodyne folder, RGB-D images in folders color and depth (Open3D, Redwood,
+    /// slambook2), a CARMEN log, a PCD or PLY file or a folder of them, an MCAP file, a rosbag2 or a bag of ROS 1.
     path: PathBuf,
     #[command(flatten)]
     ros: RosArgs,
