@@ -61,7 +61,7 @@ pub enum FormatError {
     /// A declared size beyond the caller's limit; nothing was allocated.
     #[error("{field}: {value} exceeds the limit of {limit}")]
     TooLarge {
-        /// What is limited: `num_points`, `num_pixels`, `num_bytes`.
+        /// What is limited: `num_points`, `num_rows`, `num_pixels`, `num_bytes`.
         field: &'static str,
         /// Declared size.
         value: u64,
@@ -111,6 +111,34 @@ pub enum FormatError {
         /// What each row is for.
         of: &'static str,
     },
+    /// A calibration of images of another size.
+    #[error(
+        "{field} is {declared_width} x {declared_height}, the images are {width} x {height}; calibrate for their size"
+    )]
+    ImageSize {
+        /// What declares a size.
+        field: &'static str,
+        /// Columns declared.
+        declared_width: usize,
+        /// Rows declared.
+        declared_height: usize,
+        /// Columns of the images.
+        width: usize,
+        /// Rows of the images.
+        height: usize,
+    },
+    /// Depth and colour that do not go together, frame by frame.
+    #[error(
+        "{num_color} colour images for {num_depth} depth images, and {lone} has no other; add or remove one, or leave colour out"
+    )]
+    UnpairedImages {
+        /// Colour images.
+        num_color: usize,
+        /// Depth images.
+        num_depth: usize,
+        /// The first file, with its folder, that is alone.
+        lone: String,
+    },
     /// The writer that was handed in refused.
     #[error("write: {reason}")]
     Write {
@@ -119,7 +147,8 @@ pub enum FormatError {
         /// Reason as the writer gave it.
         reason: String,
     },
-    /// A recording of ROS messages that cannot be read, or has nothing to replay, in its reader's words.
+    /// A recording of ROS messages that cannot be read, or has nothing to replay, in its reader's words; when one is opened,
+    /// they begin with the file.
     #[error("{reason}")]
     Recording {
         /// What is wrong, and a remedy.
@@ -127,7 +156,8 @@ pub enum FormatError {
     },
     /// A path that holds none of the data sets that are known.
     #[error(
-        "{}: not a 7-Scenes, TUM RGB-D or KITTI velodyne folder, CARMEN log, recording of ROS (.mcap, .db3, .bag), nor PCD or PLY cloud(s)",
+        "{}: not a 7-Scenes, TUM RGB-D, EuRoC (mav0) or KITTI velodyne folder, RGB-D images in folders color and depth, CARMEN log, \
+         recording of ROS (.mcap, .db3, .bag), nor PCD or PLY cloud(s)",
         path.display()
     )]
     Unrecognised {
@@ -149,7 +179,7 @@ impl FormatError {
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {
-            Self::Io { .. } | Self::InFile { .. } | Self::Unrecognised { .. } => self,
+            Self::Io { .. } | Self::InFile { .. } | Self::Unrecognised { .. } | Self::Recording { .. } => self,
             error => Self::InFile { path: path.to_owned(), error: Box::new(error) },
         }
     }

@@ -1,6 +1,6 @@
 //! PNG and JPEG, with sizes compared with the limits before pixels are allocated.
 
-use crate::{FormatError, Limits, Place};
+use crate::{FormatError, Limits, Place, pgm};
 use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
 use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageEncoder};
@@ -140,6 +140,27 @@ pub fn decode_depth_png(bytes: &[u8], metres_per_unit: f64, limits: &Limits) -> 
         });
     }
     Ok(DepthImage::from_u16(gray.width, gray.height, &gray.data, metres_per_unit)?)
+}
+
+/// A depth image from a 16-bit grey PNG or PGM, told apart by their first bytes; 0 and 65535 are 'no return'.
+///
+/// # Errors
+/// Those of [`decode_depth_png`], and of [`pgm::decode`].
+pub fn decode_depth(bytes: &[u8], metres_per_unit: f64, limits: &Limits) -> Result<DepthImage, FormatError> {
+    if !bytes.starts_with(b"P") {
+        return decode_depth_png(bytes, metres_per_unit, limits);
+    }
+    let image = pgm::decode(bytes, limits)?;
+    if image.max_value <= 255 {
+        let value = format!("{} (8 bits)", image.max_value);
+        return Err(FormatError::Unsupported { format: "PGM", field: "maxval", value, supported: "16 bits for depth" });
+    }
+    Ok(DepthImage::from_u16(image.width, image.height, &image.data, metres_per_unit)?)
+}
+
+/// Columns and rows that a PNG or PGM declares.
+pub(crate) fn declared_size(bytes: &[u8]) -> Result<(usize, usize), FormatError> {
+    if bytes.starts_with(b"P") { pgm::size(bytes) } else { png_size(bytes) }
 }
 
 /// A colour image from a PNG or JPEG, told apart by their first bytes; grey becomes colour, alpha is dropped.

@@ -7,7 +7,7 @@ use std::path::Path;
 /// Largest sizes that a decoder accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Points of one cloud, nodes of one octree, or faces of one mesh.
+    /// Points of one cloud, nodes of one octree, faces of one mesh, or rows of one list.
     pub max_points: u64,
     /// Pixels (or cells) of one image.
     pub max_pixels: u64,
@@ -36,6 +36,11 @@ impl Limits {
     /// `count` faces as a length, if it is within `max_points`.
     pub(crate) fn faces(&self, count: u64) -> Result<usize, FormatError> {
         check("num_faces", count, self.max_points)
+    }
+
+    /// `count` rows of a list as a length, if it is within `max_points`.
+    pub(crate) fn rows(&self, count: u64) -> Result<usize, FormatError> {
+        check("num_rows", count, self.max_points)
     }
 
     /// `width * height` as a length, if it is within `max_pixels`.

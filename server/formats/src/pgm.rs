@@ -25,15 +25,7 @@ pub struct Pgm {
 /// # Errors
 /// `Malformed`, `Truncated`, `TooLarge`.
 pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Pgm, FormatError> {
-    let plain = match bytes.get(..2) {
-        Some(b"P5") => false,
-        Some(b"P2") => true,
-        other => {
-            return Err(FormatError::malformed(FORMAT, Place::Byte(0), "magic", other.unwrap_or(bytes), "P5 or P2"));
-        }
-    };
-    let mut header = Header { bytes, at: 2 };
-    let (width, height) = (header.number("width")?, header.number("height")?);
+    let (mut header, plain, width, height) = begin(bytes)?;
     let start = header.at as u64;
     let max_value = header.number("maxval")?;
     let Some(max_value) = u16::try_from(max_value).ok().filter(|&m| m > 0) else {
@@ -63,6 +55,30 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Pgm, FormatError> {
         }
     }
     Ok(Pgm { width, height, max_value, data })
+}
+
+/// Columns and rows that a PGM file declares.
+///
+/// # Errors
+/// `Malformed` if it does not begin as a PGM does.
+pub fn size(bytes: &[u8]) -> Result<(usize, usize), FormatError> {
+    let (_, _, width, height) = begin(bytes)?;
+    let side = |v: u64| usize::try_from(v).unwrap_or(usize::MAX);
+    Ok((side(width), side(height)))
+}
+
+/// The header after its size, whether samples are plain text, columns and rows.
+fn begin(bytes: &[u8]) -> Result<(Header<'_>, bool, u64, u64), FormatError> {
+    let plain = match bytes.get(..2) {
+        Some(b"P5") => false,
+        Some(b"P2") => true,
+        other => {
+            return Err(FormatError::malformed(FORMAT, Place::Byte(0), "magic", other.unwrap_or(bytes), "P5 or P2"));
+        }
+    };
+    let mut header = Header { bytes, at: 2 };
+    let (width, height) = (header.number("width")?, header.number("height")?);
+    Ok((header, plain, width, height))
 }
 
 struct Header<'a> {

@@ -3,9 +3,10 @@
 //! Poses are those of the file, mostly sensor to world; stamps keep every nanosecond that the file gives.
 
 use crate::FormatError;
-use crate::text::{Line, Lines, parse};
+use crate::euroc::Cells;
+use crate::text::{Line, Lines};
 use nalgebra::Matrix4;
-use percept_geometry::{Pose, Stamped, Timestamp, se3};
+use percept_geometry::{Pose, Stamped, se3};
 use std::io::Write;
 
 /// TUM: rows `stamp x y z qx qy qz qw` (s, m), comments with `#`.
@@ -40,6 +41,15 @@ fn rounded_pose(line: &Line<'_>, v: &[f64; 7]) -> Result<Pose, FormatError> {
     Ok(se3::pose_from_parts("pose", [v[0], v[1], v[2]], [3, 4, 5, 6].map(|i| v[i] / scale))?)
 }
 
+/// Poses in the order of frames, as slambook2 has them: rows `x y z qx qy qz qw` (m), a quaternion's norm as in [`parse_tum`].
+///
+/// # Errors
+/// `Malformed` with the line, for a row that does not hold these seven numbers.
+pub fn parse_pose_rows(bytes: &[u8]) -> Result<Vec<Pose>, FormatError> {
+    let row = |line: Line<'_>| rounded_pose(&line, &line.numbers::<7>("x y z qx qy qz qw")?);
+    Lines::new("poses", bytes).contents().map(row).collect()
+}
+
 /// EuRoC's ground truth: rows `stamp,x,y,z,qw,qx,qy,qz` (ns, m) and more columns, which are left out.
 ///
 /// Source: Burri et al., "The EuRoC micro aerial vehicle datasets", 2016.
@@ -50,18 +60,14 @@ pub fn parse_euroc(bytes: &[u8]) -> Result<Vec<Stamped<Pose>>, FormatError> {
     Lines::new("EuRoC", bytes).contents().map(|line| euroc_row(&line)).collect()
 }
 
-fn euroc_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
-    const NAMES: [&str; 8] = ["stamp", "x", "y", "z", "qw", "qx", "qy", "qz"];
-    let mut cells = line.bytes.split(|&b| b == b',').map(<[u8]>::trim_ascii);
-    let mut cell = |name: &str| cells.next().ok_or_else(|| line.malformed(name, b"end of line", "a value"));
-    let token = cell("stamp")?;
-    let stamp = Timestamp(parse(token).ok_or_else(|| line.malformed("stamp", token, "nanoseconds"))?);
+pub(crate) fn euroc_row(line: &Line<'_>) -> Result<Stamped<Pose>, FormatError> {
+    const NAMES: [&str; 7] = ["x", "y", "z", "qw", "qx", "qy", "qz"];
+    let mut cells = Cells::new(line);
+    let stamp = cells.stamp()?;
     let mut v = [0.0; 7];
     // The file has qw first.
-    for (slot, name) in [0, 1, 2, 6, 3, 4, 5].into_iter().zip(&NAMES[1..]) {
-        let token = cell(name)?;
-        let number = parse::<f64>(token).filter(|v| v.is_finite());
-        v[slot] = number.ok_or_else(|| line.malformed(name, token, "a finite number"))?;
+    for (slot, name) in [0, 1, 2, 6, 3, 4, 5].into_iter().zip(NAMES) {
+        v[slot] = cells.finite(name)?;
     }
     Ok(Stamped { stamp, value: rounded_pose(line, &v)? })
 }
@@ -213,7 +219,7 @@ mod tests {
         #[test]
         fn damaged_text_never_panics(bytes in "([0-9 ,.e#\n-]|nan){0,200}") {
             let _ = (parse_tum(bytes.as_bytes()), parse_kitti(bytes.as_bytes()), parse_euroc(bytes.as_bytes()));
-            let _ = (parse_redwood(bytes.as_bytes()), parse_matrix(bytes.as_bytes()));
+            let _ = (parse_redwood(bytes.as_bytes()), parse_matrix(bytes.as_bytes()), parse_pose_rows(bytes.as_bytes()));
         }
     }
 
@@ -241,6 +247,20 @@ mod tests {
         assert_eq!(refused(b"1,2,3,4,1,0,0\n"), "EuRoC, line 1: qz is 'end of line', expected a value");
         assert_eq!(refused(b"1,2,3,4,,0,0,1\n"), "EuRoC, line 1: qw is '', expected a finite number");
         assert_eq!(refused(b"1.5,2,3,4,1,0,0,0\n"), "EuRoC, line 1: stamp is '1.5', expected nanoseconds");
+    }
+
+    #[test]
+    fn pose_rows_have_no_stamp_and_the_real_part_last() {
+        let poses = parse_pose_rows(b"1 2 3 0 0 0.6 0.8\n-1 0 0 0 0 0 1").unwrap();
+        assert_eq!(poses[0].translation.vector.as_slice(), [1.0, 2.0, 3.0]);
+        assert_eq!((poses.len(), se3::quaternion_xyzw(&poses[0])), (2, [0.0, 0.0, 0.6, 0.8]));
+        let refused = |text: &[u8]| parse_pose_rows(text).unwrap_err().to_string();
+        assert!(
+            refused(b"0 0 0 0 0 0 1\n1 2 3 0 0 0\n").starts_with("poses, line 2: x y z qx qy qz qw is 'end of line'")
+        );
+        assert!(refused(b"1 2 3 0 0 0 1 9\n").contains("row is '9', expected end of line"));
+        assert!(refused(b"1 2 inf 0 0 0 1\n").contains("'inf', expected a finite number"));
+        assert!(refused(b"1 2 3 0 0 0 0\n").contains("quaternion norm is '0'"));
     }
 
     #[test]

@@ -191,6 +191,23 @@ fn what_is_unknown_or_absent_is_said() {
 }
 
 #[test]
+fn an_error_tells_its_path_once() {
+    let dir = folder(&[
+        ("unknown/notes.txt", b"nothing here\n"),
+        ("cut.clf", b"FLASER 2 1\n"),
+        ("tum/depth.txt", b"# nothing\n"),
+        ("not.mcap", b"none"),
+        ("no-bag/metadata.yaml", b"x: 1\n"),
+    ]);
+    for name in ["unknown", "unknown/notes.txt", "absent", "cut.clf", "tum", "not.mcap", "no-bag"] {
+        let path = dir.path().join(name);
+        let words = open(&path).unwrap_err().to_string();
+        assert_eq!(words.matches(path.to_str().unwrap()).count(), 1, "{words}");
+        assert!(words.starts_with(dir.path().to_str().unwrap()), "{words}");
+    }
+}
+
+#[test]
 fn frames_can_be_read_on_another_thread() {
     let dir = folder(&[("drive.clf", LOG)]);
     let frames = open(dir.path()).unwrap().frames(None);

@@ -5,12 +5,14 @@
 use percept_formats::dataset::{OpenOptions, open, open_with};
 use percept_formats::{Dataset, DatasetKind, Limits, nav2, pcd, ply, read_file, trajectory};
 use percept_geometry::cloud::is_finite;
-use percept_geometry::{SensorData, SensorFrame, SensorKind, se3};
+use percept_geometry::{DepthImage, SensorData, SensorFrame, SensorKind, se3};
 use std::path::Path;
 
 percept_recorded::tests! {
     seven_scenes: "rgbd-7scenes-a";
     seven_scenes_poses_fit_the_depth: "rgbd-7scenes-a";
+    redwood_folder: "rgbd-open3d-redwood";
+    slambook2_folder: "rgbd-slambook2";
     kitti_pcd_with_poses_in_the_lidar_frame: "lidar-kitti-tracking-0000";
     kitti_bin_with_gaps_and_poses_of_the_camera: "lidar-kitti-odometry-00";
     carmen_intel: "lidar2d-intel";
@@ -61,20 +63,20 @@ fn seven_scenes(data: &Path) {
 
 /// The base looks along x: the reference warps frame 0 into frame 20 only in the right convention.
 fn seven_scenes_poses_fit_the_depth(data: &Path) {
-    let path = data.join("rgbd-7scenes-a");
-    let dataset = open(&path).unwrap();
+    let median = warped(&open(&data.join("rgbd-7scenes-a")).unwrap(), 0, 20);
+    assert!(median < 0.01, "{median}");
+}
+
+/// The median difference of depth, metres, of one frame seen from another by the reference.
+fn warped(dataset: &Dataset, from: usize, to: usize) -> f64 {
     let intrinsics = dataset.sensors[0].intrinsics.unwrap();
-    let depth = |i: usize| match dataset.frames(Some(i..i + 1)).next().unwrap().unwrap().data {
-        SensorData::Rgbd(depth, _) => depth,
-        other => panic!("{:?}", other.kind()),
-    };
     let t_world_camera = |i: usize| dataset.reference.as_ref().unwrap()[i].value * dataset.sensors[0].t_base_sensor;
-    let t_20_0 = t_world_camera(20).inverse() * t_world_camera(0);
-    let (from, to) = (depth(0), depth(20));
+    let t_to_from = t_world_camera(to).inverse() * t_world_camera(from);
+    let (from, to) = (depth(dataset, from), depth(dataset, to));
     let mut differences = vec![];
     for v in (0..480).step_by(8) {
         for u in (0..640).step_by(8).filter(|&u| from.at(u, v) > 0.0) {
-            let p = t_20_0 * (intrinsics.ray(u as f64, v as f64) * f64::from(from.at(u, v)));
+            let p = t_to_from * (intrinsics.ray(u as f64, v as f64) * f64::from(from.at(u, v)));
             let Some(q) = intrinsics.project(&p) else { continue };
             if (0.0..639.0).contains(&q.x) && (0.0..479.0).contains(&q.y) {
                 let there = f64::from(to.at(q.x.round() as usize, q.y.round() as usize));
@@ -84,9 +86,64 @@ fn seven_scenes_poses_fit_the_depth(data: &Path) {
             }
         }
     }
+    assert!(differences.len() > 1000, "{}", differences.len());
     differences.sort_by(f64::total_cmp);
-    let median = differences[differences.len() / 2];
-    assert!(differences.len() > 1000 && median < 0.01, "{} {median}", differences.len());
+    differences[differences.len() / 2]
+}
+
+fn depth(dataset: &Dataset, index: usize) -> DepthImage {
+    match dataset.frames(Some(index..index + 1)).next().unwrap().unwrap().data {
+        SensorData::Rgbd(depth, color) => {
+            assert_eq!((depth.width(), depth.height(), color.width(), color.height()), (640, 480, 640, 480));
+            depth
+        }
+        other => panic!("{:?}", other.kind()),
+    }
+}
+
+/// The share of pixels that are measured, and the nearest and farthest depth, metres.
+fn measured(depth: &DepthImage) -> (f64, f32, f32) {
+    let valid: Vec<f32> = depth.data().iter().copied().filter(|&d| d > 0.0).collect();
+    let (nearest, farthest) =
+        (valid.iter().copied().fold(f32::MAX, f32::min), valid.iter().copied().fold(0.0, f32::max));
+    (valid.len() as f64 / depth.data().len() as f64, nearest, farthest)
+}
+
+fn redwood_folder(data: &Path) {
+    let dataset = open(&data.join("rgbd-open3d-redwood")).unwrap();
+    assert_eq!((dataset.kind, dataset.len(), dataset.is_timed), (DatasetKind::RgbdFolders, 5, false));
+    let i = dataset.sensors[0].intrinsics.unwrap();
+    assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (640, 480, 525.0, 525.0, 319.5, 239.5));
+    assert_eq!(dataset.reference_source.as_deref(), Some("trajectory.log"));
+    assert!(dataset.notes.iter().any(|n| n.starts_with("odometry.log is left")), "{:?}", dataset.notes);
+    for index in 0..5 {
+        let (share, nearest, farthest) = measured(&depth(&dataset, index));
+        assert!((share - 0.87).abs() < 0.01 && nearest > 0.95 && farthest < 2.75, "{share} {nearest} {farthest}");
+    }
+    assert!((depth(&dataset, 4).at(320, 240) - 2.195).abs() < 1e-4);
+    let median = warped(&dataset, 0, 4);
+    assert!(median < 0.01, "{median}");
+}
+
+fn slambook2_folder(data: &Path) {
+    let dataset = open(&data.join("rgbd-slambook2")).unwrap();
+    assert_eq!((dataset.kind, dataset.len(), dataset.is_timed), (DatasetKind::RgbdFolders, 5, false));
+    let i = dataset.sensors[0].intrinsics.unwrap();
+    assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (640, 480, 518.0, 519.0, 325.5, 253.5));
+    assert_eq!(dataset.reference_source.as_deref(), Some("pose.txt"));
+    for index in 0..5 {
+        let (share, nearest, farthest) = measured(&depth(&dataset, index));
+        assert!((0.68..0.73).contains(&share) && nearest > 0.7 && farthest < 9.85, "{share} {nearest} {farthest}");
+    }
+    // As another decoder reads them.
+    for (index, expected) in [(0, 2.799), (3, 3.042)] {
+        assert!((depth(&dataset, index).at(320, 240) - expected).abs() < 1e-4);
+    }
+    for index in 0..4 {
+        // The poses are coarse; taken the wrong way round, they are off by half a metre and more.
+        let median = warped(&dataset, index, index + 1);
+        assert!(median < 0.15, "{index} {median}");
+    }
 }
 
 fn kitti_pcd_with_poses_in_the_lidar_frame(data: &Path) {

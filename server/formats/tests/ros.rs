@@ -171,6 +171,7 @@ fn what_has_nothing_to_replay_says_what_it_has() {
     let (_dir, path) = r.finish();
     let words = open(&path).unwrap_err().to_string();
     assert!(words.contains("LaserScan") && words.contains("/imu"), "{words}");
+    assert_eq!(words.matches(path.to_str().unwrap()).count(), 1, "{words}");
     let words = opened(&path, Some("/scan")).unwrap_err().to_string();
     assert!(words.contains("no topic /scan"), "{words}");
     let words = opened(&path, Some("/imu")).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Trajectories: TUM, KITTI, Redwood, single matrices.
+//! Trajectories: TUM, KITTI, Redwood, EuRoC, slambook2, single matrices.
 #![no_main]
 use percept_formats::trajectory;
 
@@ -11,4 +11,6 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let _ = trajectory::parse_kitti(bytes);
     let _ = trajectory::parse_redwood(bytes);
     let _ = trajectory::parse_matrix(bytes);
+    let _ = trajectory::parse_euroc(bytes);
+    let _ = trajectory::parse_pose_rows(bytes);
 });

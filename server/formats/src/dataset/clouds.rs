@@ -18,7 +18,7 @@ const LIDAR: &str = "lidar";
 /// Between clouds of which nobody knows when they were taken: as long as a gap that tracking goes on after. Any shorter and
 /// slower scanners drive too fast: a handheld one of two scans a second is off by 0.28 m in 30 if they are 0.1 s apart, and
 /// by 0.011 m at 0.2 to 1 s, as with its own stamps.
-const UNTIMED_NS: i64 = 1_000_000_000;
+pub(super) const UNTIMED_NS: i64 = 1_000_000_000;
 
 /// Reads and decodes clouds; points without return are dropped.
 #[derive(Debug)]

@@ -3,6 +3,8 @@
 //! Start with [`open`]. What is recognised:
 //! - 7-Scenes: `frame-XXXXXX.depth.png`, `.color.(png|jpg)`, `.pose.txt`, perhaps `camera-intrinsics.txt`;
 //! - TUM RGB-D: `depth.txt`, `rgb.txt`, `groundtruth.txt`;
+//! - EuRoC MAV: `mav0` with `cam0`, perhaps `imu0` and `state_groundtruth_estimate0`;
+//! - Open3D, Redwood, slambook2: folders `color` and `depth` of images, perhaps `camera_intrinsic.json`, a `.log` or a `pose.txt`;
 //! - KITTI: a folder `velodyne` of `.bin` or `.pcd`, perhaps `times*.txt`, `poses*.txt`, `calib*.txt`;
 //! - CARMEN: a `.clf` or `.log`, or a folder with one, perhaps with a corrected log and a `.relations` beside it;
 //! - PCD and PLY: a file, or a folder of them, perhaps with `times*.txt` or `groundtruth*.tum`;
@@ -13,8 +15,10 @@
 
 mod carmen;
 mod clouds;
+mod euroc;
 mod files;
 mod frames;
+mod image_folders;
 mod kitti;
 mod rgbd;
 mod ros;
@@ -44,6 +48,12 @@ pub enum DatasetKind {
     /// TUM RGB-D.
     #[serde(rename = "tum")]
     Tum,
+    /// RGB-D images in folders `color` and `depth`: Open3D, Redwood, slambook2.
+    #[serde(rename = "rgbd_folders")]
+    RgbdFolders,
+    /// EuRoC MAV: a camera and an inertial sensor.
+    #[serde(rename = "euroc")]
+    Euroc,
     /// KITTI velodyne.
     #[serde(rename = "kitti")]
     Kitti,
@@ -64,6 +74,8 @@ impl DatasetKind {
         match self {
             Self::SevenScenes => "7scenes",
             Self::Tum => "tum",
+            Self::RgbdFolders => "rgbd_folders",
+            Self::Euroc => "euroc",
             Self::Kitti => "kitti",
             Self::Carmen => "carmen",
             Self::Clouds => "clouds",
@@ -181,11 +193,11 @@ pub fn open(path: &Path) -> Result<Dataset, FormatError> {
 /// A folder that is none itself, but holds folders, stands for the first of them that is one.
 ///
 /// # Errors
-/// `Unrecognised`; `Io`; errors of the small files, naming them.
+/// `Unrecognised`; `Io`; errors of the small files. Each begins with the path of the file or folder that it is about.
 pub fn open_with(path: &Path, options: &OpenOptions) -> Result<Dataset, FormatError> {
     let metadata = std::fs::metadata(path).map_err(|e| FormatError::io(path, &e))?;
-    let found = if metadata.is_dir() { open_folder(path, options)? } else { open_file(path, options)? };
-    found.ok_or_else(|| FormatError::Unrecognised { path: path.to_owned() })
+    let found = if metadata.is_dir() { open_folder(path, options) } else { open_file(path, options) };
+    found.map_err(|e| e.in_file(path))?.ok_or_else(|| FormatError::Unrecognised { path: path.to_owned() })
 }
 
 fn open_file(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
@@ -218,7 +230,15 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, Fo
 }
 
 fn open_listed(folder: &Folder, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
-    let readers = [seven_scenes::open, tum::open, kitti::open, carmen::open_folder, clouds::open_folder];
+    let readers = [
+        seven_scenes::open,
+        tum::open,
+        kitti::open,
+        euroc::open,
+        image_folders::open,
+        carmen::open_folder,
+        clouds::open_folder,
+    ];
     for reader in readers {
         if let Some(dataset) = reader(folder, options)? {
             return Ok(Some(dataset));

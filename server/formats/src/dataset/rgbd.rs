@@ -1,4 +1,4 @@
-//! What the two RGB-D kinds share.
+//! What the RGB-D kinds share.
 
 use super::OpenOptions;
 use super::files::Folder;
@@ -34,7 +34,7 @@ impl Load for RgbdLoader {
     fn load(&self, index: usize) -> Result<SensorData, FormatError> {
         let Images { depth: depth_path, color } = &self.images[index];
         let bytes = crate::read_file(depth_path, &self.limits)?;
-        let depth = images::decode_depth_png(&bytes, self.metres_per_unit, &self.limits);
+        let depth = images::decode_depth(&bytes, self.metres_per_unit, &self.limits);
         let depth = depth.map_err(|e| e.in_file(depth_path))?;
         let Some(color_path) = color else {
             return Ok(SensorData::Depth(depth));
@@ -67,7 +67,7 @@ pub(super) fn camera(
     }
     let first = images.first().ok_or(FormatError::Missing { format: "RGB-D", field: "frames" })?;
     let bytes = crate::read_file(&first.depth, &options.limits)?;
-    let (width, height) = images::png_size(&bytes).map_err(|e| e.in_file(&first.depth))?;
+    let (width, height) = images::declared_size(&bytes).map_err(|e| e.in_file(&first.depth))?;
     let spec = SensorSpec {
         id: CAMERA.into(),
         kind: if with_color { SensorKind::Rgbd } else { SensorKind::Depth },

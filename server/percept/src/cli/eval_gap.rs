@@ -55,7 +55,7 @@ struct Figures {
 }
 
 pub(crate) fn run(args: &GapArgs) -> Result<(), Failure> {
-    let recording = dataset::open(&args.path).map_err(|e| format!("{}: {e}", args.path.display()))?;
+    let recording = dataset::open(&args.path)?;
     let Some(reference) = &recording.reference else {
         return Err(format!("{}: has no reference to judge by", args.path.display()).into());
     };

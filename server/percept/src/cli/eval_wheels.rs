@@ -67,7 +67,7 @@ struct Figures {
 }
 
 pub(crate) fn run(args: &WheelsArgs) -> Result<(), Failure> {
-    let recording = dataset::open(&args.path).map_err(|e| format!("{}: {e}", args.path.display()))?;
+    let recording = dataset::open(&args.path)?;
     let told = samples(recording.frames(None).map(|frame| Ok(frame?)));
     if told.is_empty() {
         return Err(format!("{}: has no wheel odometry to spoil", args.path.display()).into());

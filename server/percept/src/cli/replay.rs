@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
-    /// A 7-Scenes, TUM RGB-D or KITTI velodyne folder, a CARMEN log, a PCD or PLY file or a folder of them, an MCAP file, a rosbag2
-    /// or a bag of ROS 1.
+    /// A 7-Scenes, TUM RGB-D, EuRoC (mav0) or KITTI velodyne folder, RGB-D images in folders color and depth (Open3D, Redwood,
+    /// slambook2), a CARMEN log, a PCD or PLY file or a folder of them, an MCAP file, a rosbag2 or a bag of ROS 1.
     path: PathBuf,
     #[command(flatten)]
     ros: RosArgs,
@@ -82,7 +82,7 @@ impl RosArgs {
     pub(crate) fn open(&self, path: &Path, depth_only: bool) -> Result<Dataset, Failure> {
         let (topic, base_frame) = (self.topic.clone(), self.base_frame.clone());
         let options = OpenOptions { depth_only, topic, base_frame, ..OpenOptions::default() };
-        dataset::open_with(path, &options).map_err(|e| format!("{}: {e}", path.display()).into())
+        Ok(dataset::open_with(path, &options)?)
     }
 }
 

@@ -27,7 +27,7 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
     let recording = Recording::open(path).map_err(FormatError::recording)?;
     let survey = Survey::of(&recording)?;
     let mut notes = survey.warnings.clone();
-    let primary = primary(&survey, options)?;
+    let primary = primary(path, &survey, options)?;
     let recorded = &survey.topics[primary];
     let topic = &recorded.topic;
     let partner = if options.depth_only { None } else { partner(&survey, primary) };
@@ -124,12 +124,12 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
 }
 
 /// The topic that poses are found by.
-fn primary(survey: &Survey, options: &OpenOptions) -> Result<usize, FormatError> {
+fn primary(path: &Path, survey: &Survey, options: &OpenOptions) -> Result<usize, FormatError> {
     let listed = || {
         let each = survey.topics.iter().map(|t| format!("{} ({}, {})", t.topic.name, t.topic.type_name, t.count));
         each.take(40).collect::<Vec<_>>().join(", ")
     };
-    let refused = |reason: String| Err(FormatError::Recording { reason });
+    let refused = |reason: String| Err(FormatError::Recording { reason: format!("{}: {reason}", path.display()) });
     if let Some(wanted) = &options.topic {
         let found =
             survey.topics.iter().position(|t| t.topic.name.trim_start_matches('/') == wanted.trim_start_matches('/'));
