@@ -142,7 +142,9 @@ def over_grpc(site: Site, files) -> tuple[str, str]:
         try:
             ask()
         except PerceptError as error:
-            return error.reason or ("not let in" if isinstance(error, Unavailable) else repr(error))
+            # The client cannot tell more: the server ends the connection in the handshake.
+            is_let_in = not (isinstance(error, Unavailable) and error.reason == "SERVER_UNREACHABLE")
+            return (error.reason or repr(error)) if is_let_in else "not let in"
         return ""
 
     with site.client(files, timeout_s=10) as client:

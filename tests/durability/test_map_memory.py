@@ -44,7 +44,7 @@ def test_a_map_that_does_not_fit_into_memory_is_the_same_map(tmp_path, monkeypat
     (tmp_path / "b").mkdir()
     trajectory, grid, summary, files = driven(tmp_path / "a", monkeypatch, 256)
     small_trajectory, small_grid, small, small_files = driven(tmp_path / "b", monkeypatch, 1)
-    assert summary.memory.submaps_bytes > 2 << 20, "the map is too small to tell"
+    assert summary.memory.submaps_bytes > 1 << 20, "the map is too small to tell"
     # What was read last, and what the robot is in, stays.
     assert small.memory.submaps_bytes < 0.75 * summary.memory.submaps_bytes
     assert small.missing_submaps == summary.missing_submaps == ()
