@@ -66,7 +66,7 @@ pub(crate) struct FlyArgs {
     /// Highest corner of it.
     #[arg(long, value_parser = input::parse_position, allow_hyphen_values = true, requires = "low")]
     high: Option<Point3<f64>>,
-    /// Give up after so many milliseconds; 0: when it is done.
+    /// End with the best path so far after so many milliseconds; 0: when it is done
     #[arg(long, default_value_t = 0)]
     deadline_ms: u32,
     /// Write the corners of the path to this file: .csv, or .json with all that is known of it.
