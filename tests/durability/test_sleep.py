@@ -9,7 +9,7 @@ import threading
 import httpx
 import numpy as np
 import pytest
-from percept import Client, PoseEstimate
+from percept import Client, InvalidArgument, PoseEstimate
 
 from support import robots, world
 from support.measure import rss_mb
@@ -66,6 +66,43 @@ def test_a_session_sleeps_wakes_and_is_as_it_was(client, states):
     assert np.allclose(again.positions, trajectory.positions, atol=1e-6)
     assert [k.stamp_ns for k in session.keyframes()] == [k.stamp_ns for k in keyframes]
     assert session.pose().stamp_ns == pose.stamp_ns
+
+
+def test_counters_go_on_and_versions_never_fall_over_sleep_and_restart(sleepy_server, client, states):
+    session = client.sessions.create("robot", sensors=[world.LASER])
+    robots.send_scans(session, 0, 12)
+    with pytest.raises(InvalidArgument):
+        session.send_scan("laser", stamp_ns=world.stamp(3) + 1, **robots.scan(3))
+    version = session.space.changes().stamp.map_version
+    assert version > 0
+    asleep(states, "robot")
+
+    def go_on(session):
+        """Asks a session that sleeps, then one that wakes."""
+        (status,) = session.sensors.list()
+        assert session.info().state == "asleep", "asked without waking it"
+        assert (status.accepted, status.rejected, status.verdict) == (12, 1, "troubled")
+        assert status.last_stamp_ns == world.stamp(11)
+        changes = session.space.changes(version)
+        if changes.stamp.map_version == version:
+            assert changes.regions == (), "made of the same records, it is the same"
+        else:
+            # Whoever holds the map of that version gets all of it: what it was made of is laid anew.
+            assert changes.stamp.map_version > version
+            assert changes.regions == session.space.changes().regions
+        (status,) = session.sensors.list()
+        assert (status.accepted, status.rejected, status.last_stamp_ns) == (12, 1, world.stamp(11))
+        return changes.stamp.map_version
+
+    version = go_on(session)
+    sleepy_server.kill()
+    sleepy_server.start()
+    with Client(sleepy_server.grpc) as again:
+        session = again.session("robot")
+        version = go_on(session)
+        robots.send_scans(session, 12, 14)
+        assert session.sensors.list()[0].accepted == 14
+        assert session.space.changes().stamp.map_version >= version
 
 
 def test_a_robot_that_pauses_maps_on_through_every_sleep(client, states):

@@ -63,18 +63,18 @@ def write_ros1(path: pathlib.Path, compression: Ros1Writer.CompressionFormat | N
             writer.write(connections[topic], time, data)
 
 
-def write_sqlite(path: pathlib.Path) -> None:
-    """Write rosbag2's first storage, each message packed by zstd, by rosbags."""
+def write_packed(path: pathlib.Path, storage: StoragePlugin) -> None:
+    """Write one of rosbag2's storages, each message packed by zstd, by rosbags."""
     store = get_typestore(Stores.ROS2_JAZZY)
     with tempfile.TemporaryDirectory() as folder:
         recording = pathlib.Path(folder) / "recording"
-        writer = Ros2Writer(recording, version=9, storage_plugin=StoragePlugin.SQLITE3)
+        writer = Ros2Writer(recording, version=9, storage_plugin=storage)
         writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
         with writer:
             connections = {name: writer.add_connection(name, HEADER, typestore=store) for name in ("/a", "/b")}
             for topic, time, data in messages(store, ros1=False):
                 writer.write(connections[topic], time, data)
-        path.write_bytes(next(recording.glob("*.db3*")).read_bytes())
+        path.write_bytes(next(recording.glob(f"*{path.suffix}*")).read_bytes())
 
 
 def main() -> None:
@@ -85,7 +85,8 @@ def main() -> None:
     write_mcap(folder / "lz4.mcap", CompressionType.LZ4)
     write_mcap(folder / "none.mcap", CompressionType.NONE)
     write_mcap(folder / "unchunked.mcap", CompressionType.NONE, chunked=False)
-    write_sqlite(folder / "zstd_messages.db3")
+    write_packed(folder / "zstd_messages.db3", StoragePlugin.SQLITE3)
+    write_packed(folder / "zstd_messages.mcap", StoragePlugin.MCAP)
     write_ros1(folder / "none.bag", None)
     write_ros1(folder / "bz2.bag", Ros1Writer.CompressionFormat.BZ2)
     write_ros1(folder / "lz4.bag", Ros1Writer.CompressionFormat.LZ4)

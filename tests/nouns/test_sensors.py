@@ -205,7 +205,7 @@ def test_an_imu_alone_is_told_that_no_pose_comes_of_it(client):
     assert [t.kind for t in alone.troubles] == ["no_pose"]
     assert "declare a lidar" in alone.verdict_message
     session.sensors.declare(world.LASER)
-    assert sample(2).verdict == "good"
+    assert sample(10**7).verdict == "good"
 
 
 @pytest.mark.parametrize("wanted", ["imu", "nobody"])
@@ -228,6 +228,45 @@ def test_a_frame_that_is_sent_again_is_answered_and_does_nothing_more(client):
     assert len(session.trajectory()) == 3
     (status,) = session.sensors.list()
     assert (status.accepted, status.rejected) == (3, 0)
+
+
+def test_another_frame_of_a_stamp_is_refused_alone_and_in_a_stream(client):
+    """A clock of whole seconds: of ten scans a second nine have the stamp of the one before."""
+    session = client.sessions.create(sensors=[world.LASER])
+    scans = [world.scan(pose) for pose in world.drive(4)]
+    start_ns = world.stamp(0)
+    assert not session.send_scan("laser", stamp_ns=start_ns, **scans[0]).duplicate
+    with pytest.raises(InvalidArgument) as refused:
+        session.send_scan("laser", stamp_ns=start_ns, **scans[1])
+    assert (refused.value.reason, refused.value.field) == ("STAMP_REPEATED", "stamp_ns")
+    with session.stream() as stream:
+        for scan in scans[2:]:
+            stream.send_scan("laser", stamp_ns=start_ns, **scan)
+        stream.send_scan("laser", stamp_ns=start_ns, **scans[0])
+    assert (stream.summary.accepted, stream.summary.rejected) == (0, 3)
+    assert {r.rejection.reason for r in stream.summary.rejections} == {"STAMP_REPEATED", "STAMP_NOT_INCREASING"}
+    (status,) = session.sensors.list()
+    assert (status.accepted, status.rejected) == (1, 3), "the one that was sent again is none"
+    assert "STAMP_REPEATED" in status.verdict_message
+
+
+@pytest.mark.parametrize(("divisor", "unit"), [(10**3, "microseconds"), (10**6, "milliseconds"), (10**9, "seconds")])
+def test_stamps_of_another_unit_are_told(client, divisor, unit):
+    session = client.sessions.create(sensors=[world.LASER])
+    for i, pose in enumerate(world.drive(5)):
+        stamp_ns = (1_700_000_000 * 10**9 + i * 10**8) // divisor
+        session.send_scan("laser", stamp_ns=stamp_ns + (i if divisor == 10**9 else 0), **world.scan(pose))
+    (status,) = session.sensors.list()
+    assert [t.kind for t in status.troubles] == ["stamp_unit"]
+    assert f"seem to be in {unit}" in status.verdict_message
+
+
+def test_a_mount_beyond_any_robot_is_told(client):
+    far = dataclasses.replace(world.LASER, t_base_sensor=Pose.from_xyz(0, 0, 1000.0))
+    session = client.sessions.create(sensors=[far])
+    session.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
+    (status,) = session.sensors.list()
+    assert [t.kind for t in status.troubles] == ["mount_far"]
 
 
 def test_every_kind_of_frame_is_taken(client):

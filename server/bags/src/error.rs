@@ -19,6 +19,12 @@ pub enum BagError {
         /// The file.
         path: PathBuf,
     },
+    /// A file that was packed as a whole: messages cannot be read from its middle.
+    #[error("{}: packed by zstd as a whole; unpack it first: `zstd -d {}`", path.display(), path.display())]
+    Packed {
+        /// The file.
+        path: PathBuf,
+    },
     /// A folder without a recording.
     #[error("{}: no .mcap, .bag or .db3 file in this folder", path.display())]
     Empty {

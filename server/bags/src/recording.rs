@@ -102,7 +102,7 @@ impl Recording {
     /// Opens a `.mcap`, `.bag` or `.db3` file, or a folder of such. Reads all of it once, block by block; of `.db3`, the index.
     ///
     /// # Errors
-    /// `Io`, `Unrecognised` (by the first bytes, whatever the name), `Empty` (a folder without any), `Sqlite`.
+    /// `Io`, `Unrecognised` or `Packed` (by the first bytes, whatever the name), `Empty` (a folder without any), `Sqlite`.
     pub fn open(path: &Path) -> Result<Arc<Self>, BagError> {
         let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], places: vec![] };
         for file in files(path)? {
@@ -137,6 +137,7 @@ impl Recording {
             m if m.starts_with(Mcap::MAGIC) => Kind::Mcap,
             m if m.starts_with(Ros1Bag::MAGIC) => Kind::Ros1,
             m if m.starts_with(sqlite::MAGIC) => Kind::Sqlite,
+            m if m.starts_with(&ZSTD_MAGIC) => return Err(BagError::Packed { path }),
             _ => return Err(BagError::Unrecognised { path }),
         };
         let (channels, schemas, tallies) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
@@ -305,7 +306,7 @@ fn files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     }
     let entries = std::fs::read_dir(path).map_err(&of)?.map(|e| e.map(|e| e.path()));
     let mut files = entries.collect::<Result<Vec<_>, _>>().map_err(&of)?;
-    files.retain(|f| f.extension().is_some_and(|e| e == "mcap" || e == "bag" || e == "db3"));
+    files.retain(|f| f.extension().is_some_and(|e| ["mcap", "bag", "db3", "zstd"].iter().any(|known| e == *known)));
     files.sort();
     if files.is_empty() { Err(BagError::Empty { path: path.to_owned() }) } else { Ok(files) }
 }
@@ -321,6 +322,21 @@ fn read_at(file: &mut File, at: u64, count: u64) -> std::io::Result<Vec<u8>> {
 fn unpacked(file: &mut File, block: &Block) -> std::io::Result<(Vec<u8>, Option<std::io::Error>)> {
     file.seek(SeekFrom::Start(block.offset))?;
     Ok(block::unpack(std::io::BufReader::new(file.take(block.num_bytes)), block.compression))
+}
+
+/// What every frame of zstd begins with (RFC 8878). No message does: CDR begins with 0, messages of ROS 1 with a length or a
+/// number, and one that is this is hardly the first of megabytes that unpack without an error.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// A message's bytes: rosbag2 packs them one by one if it is told to (compression mode `message`), whatever it stores them in.
+fn of_message(bytes: Vec<u8>) -> Vec<u8> {
+    if !bytes.starts_with(&ZSTD_MAGIC) {
+        return bytes;
+    }
+    match block::unpack(&bytes[..], block::Compression::Zstd) {
+        (unpacked, None) => unpacked,
+        (_, Some(_)) => bytes,
+    }
 }
 
 /// Messages in the order of their log times.
@@ -364,6 +380,7 @@ impl Messages {
     fn load(&mut self, part: &Part, place: Place) -> Result<(), BagError> {
         let mut found = |channel: u32, log_time: i64, publish_time: i64, bytes: Vec<u8>| {
             let Some(&topic) = part.channels.get(&channel) else { return };
+            let bytes = of_message(bytes);
             let (log_time, publish_time) = (Timestamp(log_time), Timestamp(publish_time));
             let message = RecordedMessage { topic, log_time, publish_time, bytes };
             self.ahead.push(Reverse(Ahead { order: (log_time.0, self.num_read), message }));

@@ -1,9 +1,7 @@
 //! rosbag2's SQLite files: `topics` and `messages` as tables, read by ranges of time.
 //!
-//! Source: ros2/rosbag2, `rosbag2_storage_sqlite3`, schemas 1 to 4. Messages that were packed one by one (compression mode
-//! `message`) are unpacked; files that were packed as a whole (`.db3.zstd`) have to be unpacked first.
+//! Source: ros2/rosbag2, `rosbag2_storage_sqlite3`, schemas 1 to 4.
 
-use crate::block::{Compression, unpack};
 use rusqlite::{Connection, Error, OpenFlags};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,7 +10,6 @@ pub(crate) const MAGIC: &[u8] = b"SQLite format 3\0";
 /// What is read at once: as much as a chunk of MCAP, or one message if that is larger.
 const RANGE_BYTES: u64 = 1 << 20;
 const RANGE_ROWS: u64 = 1000;
-const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// A topic's row, with how many messages it has and when.
 pub(crate) struct TopicRow {
@@ -107,12 +104,7 @@ pub(crate) fn read(path: &Path, range: Range, mut found: impl FnMut(i64, i64, Ve
     let mut statement = connection.prepare(sql)?;
     let mut rows = statement.query([range.from, range.until])?;
     while let Some(row) = rows.next()? {
-        let mut bytes: Vec<u8> = row.get(2)?;
-        if bytes.starts_with(&ZSTD_MAGIC) {
-            let (unpacked, error) = unpack(&bytes[..], Compression::Zstd);
-            bytes = if error.is_none() { unpacked } else { bytes };
-        }
-        found(row.get(0)?, row.get(1)?, bytes);
+        found(row.get(0)?, row.get(1)?, row.get(2)?);
     }
     Ok(())
 }

@@ -142,6 +142,11 @@ impl Map {
         self.shown.version
     }
 
+    /// Versions go on after one that was told of the same map before; for a map that is empty.
+    pub fn go_on_from(&mut self, version: u64) {
+        self.shown.version = version;
+    }
+
     /// Adds a keyframe, newer than all there are.
     ///
     /// # Errors

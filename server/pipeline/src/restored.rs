@@ -69,4 +69,6 @@ pub struct Restored {
     pub next_object_id: u64,
     /// Newest accepted stamp of each sensor, its own clock.
     pub last_stamps: BTreeMap<SensorId, Timestamp>,
+    /// No version of the map that somebody was told of is newer: all of the map is, from now on.
+    pub map_version: u64,
 }

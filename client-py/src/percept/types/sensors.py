@@ -136,6 +136,10 @@ class StreamTroubleKind(Name):
     INTRINSICS = "intrinsics"
     #: Wheels tell another motion than the pose sensor sees.
     WHEELS_UNLIKE = "wheels_unlike"
+    #: Its stamps are in another unit than nanoseconds.
+    STAMP_UNIT = "stamp_unit"
+    #: Its mount is farther from the robot's base than any robot reaches.
+    MOUNT_FAR = "mount_far"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

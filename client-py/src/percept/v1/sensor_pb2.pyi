@@ -174,7 +174,7 @@ class _StreamVerdictEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_StreamV
     DESCRIPTOR: _descriptor.EnumDescriptor
     STREAM_VERDICT_UNSPECIFIED: _StreamVerdict.ValueType  # 0
     STREAM_VERDICT_NO_FRAME: _StreamVerdict.ValueType  # 1
-    """Nothing came yet, since the session was created or woken."""
+    """Nothing came yet, since the sensor was declared."""
     STREAM_VERDICT_GOOD: _StreamVerdict.ValueType  # 2
     """Nothing is wrong."""
     STREAM_VERDICT_TROUBLED: _StreamVerdict.ValueType  # 3
@@ -185,7 +185,7 @@ class StreamVerdict(_StreamVerdict, metaclass=_StreamVerdictEnumTypeWrapper):
 
 STREAM_VERDICT_UNSPECIFIED: StreamVerdict.ValueType  # 0
 STREAM_VERDICT_NO_FRAME: StreamVerdict.ValueType  # 1
-"""Nothing came yet, since the session was created or woken."""
+"""Nothing came yet, since the sensor was declared."""
 STREAM_VERDICT_GOOD: StreamVerdict.ValueType  # 2
 """Nothing is wrong."""
 STREAM_VERDICT_TROUBLED: StreamVerdict.ValueType  # 3
@@ -233,6 +233,10 @@ class _StreamTroubleKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Str
     """A camera's intrinsics are hardly those of its images."""
     STREAM_TROUBLE_KIND_WHEELS_UNLIKE: _StreamTroubleKind.ValueType  # 17
     """Wheels tell another motion than the pose sensor sees."""
+    STREAM_TROUBLE_KIND_STAMP_UNIT: _StreamTroubleKind.ValueType  # 18
+    """Its stamps are in another unit than nanoseconds."""
+    STREAM_TROUBLE_KIND_MOUNT_FAR: _StreamTroubleKind.ValueType  # 19
+    """Its mount is farther from the robot's base than any robot reaches: another unit than metres."""
 
 class StreamTroubleKind(_StreamTroubleKind, metaclass=_StreamTroubleKindEnumTypeWrapper):
     """What may be wrong with a sensor's stream."""
@@ -272,6 +276,10 @@ STREAM_TROUBLE_KIND_INTRINSICS: StreamTroubleKind.ValueType  # 16
 """A camera's intrinsics are hardly those of its images."""
 STREAM_TROUBLE_KIND_WHEELS_UNLIKE: StreamTroubleKind.ValueType  # 17
 """Wheels tell another motion than the pose sensor sees."""
+STREAM_TROUBLE_KIND_STAMP_UNIT: StreamTroubleKind.ValueType  # 18
+"""Its stamps are in another unit than nanoseconds."""
+STREAM_TROUBLE_KIND_MOUNT_FAR: StreamTroubleKind.ValueType  # 19
+"""Its mount is farther from the robot's base than any robot reaches: another unit than metres."""
 Global___StreamTroubleKind: _TypeAlias = StreamTroubleKind  # noqa: Y015
 
 @_typing.final
@@ -740,7 +748,7 @@ Global___Refusal: _TypeAlias = Refusal  # noqa: Y015
 
 @_typing.final
 class StreamFigures(_message.Message):
-    """How a stream has come in of late: the newest 50 accepted frames, since the server was started."""
+    """How a stream has come in of late: the newest 50 accepted frames, since the session was woken."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -858,9 +866,9 @@ class SensorStatus(_message.Message):
     FIGURES_FIELD_NUMBER: _builtins.int
     REFUSALS_FIELD_NUMBER: _builtins.int
     accepted: _builtins.int
-    """Frames accepted since the session was created."""
+    """Frames accepted since the sensor was declared."""
     rejected: _builtins.int
-    """Frames refused as bad input."""
+    """Frames refused as bad input. One that is sent again is none."""
     dropped: _builtins.int
     """Frames dropped because the queue was full (DROP_OLDEST)."""
     gaps: _builtins.int

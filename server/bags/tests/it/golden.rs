@@ -6,8 +6,17 @@ use percept_geometry::Timestamp;
 use percept_ros::{Message, messages::Header};
 use std::path::PathBuf;
 
-const FILES: [&str; 8] =
-    ["zstd_messages.db3", "zstd.mcap", "lz4.mcap", "none.mcap", "unchunked.mcap", "none.bag", "bz2.bag", "lz4.bag"];
+const FILES: [&str; 9] = [
+    "zstd_messages.db3",
+    "zstd_messages.mcap",
+    "zstd.mcap",
+    "lz4.mcap",
+    "none.mcap",
+    "unchunked.mcap",
+    "none.bag",
+    "bz2.bag",
+    "lz4.bag",
+];
 
 #[test]
 fn recordings_of_each_packing_say_the_same() {

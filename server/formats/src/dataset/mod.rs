@@ -203,7 +203,12 @@ pub fn open_with(path: &Path, options: &OpenOptions) -> Result<Dataset, FormatEr
 fn open_file(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
     match files::extension(path).as_str() {
         "pcd" | "ply" | "bin" => clouds::open_file(path, options).map(Some),
-        "mcap" | "db3" | "bag" => ros::open(path, options).map(Some),
+        "mcap" | "db3" | "bag" | "zst" | "zstd" => ros::open(path, options).map(Some),
+        // What rosbag2 writes beside its files, named for the folder.
+        "yaml" if path.file_name().is_some_and(|name| name == "metadata.yaml") => {
+            ros::open(path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new(".")), options)
+                .map(Some)
+        }
         _ if carmen::is_log(path)? => carmen::open(path, None, options).map(Some),
         _ => Ok(None),
     }
@@ -218,7 +223,7 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, Fo
         return Ok(Some(dataset));
     }
     // Last: recordings of other kinds come with bags of the same beside them.
-    if !folder.with_extension(&["mcap", "db3", "bag"]).is_empty() {
+    if !folder.with_extension(&["mcap", "db3", "bag", "zstd"]).is_empty() {
         return ros::open(path, options).map(Some);
     }
     for child in folder.folders() {

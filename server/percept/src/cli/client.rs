@@ -166,12 +166,22 @@ pub(crate) fn lost(error: &(dyn std::error::Error + Send + Sync + 'static)) -> O
     ))
 }
 
+/// What the server said of what it refused, which names field and remedy; none of other failures.
+pub(crate) fn refused(error: &(dyn std::error::Error + Send + Sync + 'static)) -> Option<String> {
+    let status = error.downcast_ref::<Status>()?;
+    let is_said = std::error::Error::source(status).is_none() && !status.message().is_empty();
+    is_said.then(|| match status.message() {
+        // HTTP/2 was answered in HTTP/1.1.
+        message if message.contains("h2 protocol error") || message.contains("http2 error") => {
+            format!("{message}; is that the server's gRPC port (listen.grpc, 50051 as a rule), not its REST port?")
+        }
+        message => message.to_owned(),
+    })
+}
+
 /// What a server answered; of what it refused its own words, which name field and remedy.
 pub(crate) fn answered<T>(answer: Result<Response<T>, Status>) -> Result<T, Failure> {
-    answer.map(Response::into_inner).map_err(|status| {
-        let refused = std::error::Error::source(&status).is_none() && !status.message().is_empty();
-        if refused { status.message().into() } else { status.into() }
-    })
+    answer.map(Response::into_inner).map_err(|status| refused(&status).map_or_else(|| status.into(), Failure::from))
 }
 
 /// A session on a server.
@@ -292,6 +302,21 @@ impl RemoteSession {
         let source = Some(v1::MapSource { source: Some(source) });
         client.optimise_map(v1::OptimiseMapRequest { source }).await?;
         Ok(())
+    }
+
+    /// Loops that hold the map together.
+    pub(crate) async fn num_active_loops(&self) -> Result<usize, Failure> {
+        let mut client = v1::maps_service_client::MapsServiceClient::new(self.channel.clone());
+        let (mut count, mut page_token) = (0, String::new());
+        loop {
+            let request = v1::ListLoopsRequest { source: Some(self.source()), page_size: 1000, page_token };
+            let page = client.list_loops(request).await?.into_inner();
+            count += page.loops.iter().filter(|l| l.state() == v1::LoopState::Active).count();
+            if page.next_page_token.is_empty() {
+                return Ok(count);
+            }
+            page_token = page.next_page_token;
+        }
     }
 
     /// Robot, objects and their relations.

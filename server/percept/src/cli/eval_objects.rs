@@ -10,6 +10,7 @@ use percept_scene::{Object, ObjectId, ObjectState, Related, RelationKind};
 use percept_sim::{MainSensor, Scenario, SensorSuite, SimParams, Simulation, WorldParams};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
 /// Overlaps from which a box counts as found, 3D intersection over union; what is told of things that were found counts from the first.
 const MIN_IOU: [f64; 2] = [0.25, 0.5];
@@ -54,6 +55,9 @@ pub(crate) struct ObjectsArgs {
     /// Name every object that was missed or that is not there, and every relation.
     #[arg(long, conflicts_with = "json")]
     list: bool,
+    /// Write each world's map, pictures, objects and scene graph into a folder of its own in this one.
+    #[arg(long)]
+    out: Option<PathBuf>,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     json: bool,
@@ -124,6 +128,9 @@ pub(crate) fn objects(args: &ObjectsArgs) -> Result<(), Failure> {
         }
         if args.list {
             world.list();
+        }
+        if let Some(out) = &args.out {
+            super::replay::write_results(&out.join(format!("world-{seed}")), &run.snapshot)?;
         }
         total.add(&world);
     }

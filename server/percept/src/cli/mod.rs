@@ -137,7 +137,8 @@ pub(crate) fn run() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            eprintln!("percept: {}", client::lost(e.as_ref()).unwrap_or_else(|| with_causes(e.as_ref())));
+            let of_server = || client::lost(e.as_ref()).or_else(|| client::refused(e.as_ref()));
+            eprintln!("percept: {}", of_server().unwrap_or_else(|| with_causes(e.as_ref())));
             ExitCode::FAILURE
         }
     }

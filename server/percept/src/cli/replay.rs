@@ -295,6 +295,7 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
     let poses = trajectory.into_iter().filter(|p| p.is_metric == is_metric).map(|p| p.t_map_base).collect::<Vec<_>>();
     report.judge(recording.reference.as_deref(), &poses, is_metric);
     (report.keyframes, report.objects) = counts(&session).await?;
+    report.loops = session.num_active_loops().await?;
     if let Some(dir) = &args.out {
         write_remote(dir, &session).await?;
         restamp(dir, recording)?;

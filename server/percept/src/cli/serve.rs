@@ -370,7 +370,19 @@ fn bind(
 }
 
 fn reserve(field: &str, address: &str) -> Result<TcpSocket, Failure> {
-    Listener::reserve(address).map_err(|e| format!("{field}: cannot listen on {address}: {e}").into())
+    Listener::reserve(address).map_err(|e| {
+        let remedy = match e.kind() {
+            std::io::ErrorKind::AddrInUse => {
+                "; end what listens there, perhaps another percept, or set another address"
+            }
+            std::io::ErrorKind::AddrNotAvailable => {
+                "; set an address that this machine has, or 0.0.0.0 for all of them"
+            }
+            std::io::ErrorKind::PermissionDenied => "; set a port above 1023, or let the process take lower ones",
+            _ => "",
+        };
+        format!("{field}: cannot listen on {address}: {e}{remedy}").into()
+    })
 }
 
 /// What a signal asks for.

@@ -21,6 +21,7 @@ pub(crate) struct End {
 impl MapGraph {
     /// Brings back keyframes, layers and trajectory; where the trajectory ends, if that is known.
     pub(crate) fn restore(&mut self, restored: &Restored) -> Option<End> {
+        self.map.go_on_from(restored.map_version);
         let mut infos = Vec::with_capacity(restored.keyframes.len());
         for (i, k) in restored.keyframes.iter().enumerate() {
             let mut info = KeyframeInfo {

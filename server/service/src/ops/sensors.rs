@@ -93,11 +93,8 @@ impl Service {
     /// # Errors
     /// `SESSION_NOT_FOUND`; faults of the storage.
     pub async fn list_sensors(&self, session: &str) -> Result<Vec<SensorStatus>> {
-        if let Some(session) = self.view_session(session).await?.live {
-            return Ok(session.sensors());
-        }
-        let sensors = self.session_meta(session).await?.sensors;
-        Ok(sensors.into_iter().map(|declaration| SensorStatus::unseen(declaration, None)).collect())
+        check_id("session_id", session)?;
+        self.registry.sensors(session).await
     }
 
     /// Health of one sensor of a session, without waking it.

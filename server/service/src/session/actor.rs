@@ -10,12 +10,14 @@ use super::job::Job;
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Persister, Storing};
 use super::recording::Recording;
-use super::refusal::{failed, frame_error, stopped};
+use super::records::{FrameCounts, StateRecord};
+use super::refusal::{failed, frame_error, stamp_repeated, stopped};
 use super::scratch::Scratch;
+use super::sensor_book::TakenAs;
 use crate::{Asker, ComputePool, Limits, Progress, Result, observe};
-use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
+use percept_geometry::{Pose, SensorFrame, SensorId};
 use percept_mapping::given::GivenView;
-use percept_pipeline::{FrameReport, LoopId, MapChange, Pipeline, Snapshot};
+use percept_pipeline::{FrameError, FrameReport, LoopId, MapChange, Pipeline, Snapshot};
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
@@ -34,6 +36,8 @@ pub(super) struct Actor {
     pub(super) persister: Persister,
     pub(super) compute: ComputePool,
     pub(super) recording: Option<Recording>,
+    /// What was counted of each sensor's frames when the session woke.
+    pub(super) stored_counts: BTreeMap<SensorId, FrameCounts>,
 }
 
 /// Why an actor ended.
@@ -71,7 +75,7 @@ fn take_settings(pipeline: &mut Pipeline, meta: &SessionMeta, declared: Option<&
 pub(super) fn start(
     meta: SessionMeta,
     mut pipeline: Pipeline,
-    last_stamps: &BTreeMap<SensorId, Timestamp>,
+    before: &StateRecord,
     (persister, scratch, recording): (Persister, Arc<Scratch>, Option<Recording>),
     compute: ComputePool,
     limits: &Limits,
@@ -82,8 +86,9 @@ pub(super) fn start(
     }
     let (queue, commands) = mpsc::channel(limits.queue_length.max(1));
     let kept = (persister.durable(), persister.storing(), scratch);
-    let session = Arc::new(Session::over(meta, &pipeline, last_stamps, queue, kept, None, limits, events));
-    let actor = Actor { session: Arc::clone(&session), pipeline: Some(pipeline), persister, compute, recording };
+    let session = Arc::new(Session::over(meta, &pipeline, before, queue, kept, None, limits, events));
+    let (pipeline, stored_counts) = (Some(pipeline), before.frame_counts.clone());
+    let actor = Actor { session: Arc::clone(&session), pipeline, persister, compute, recording, stored_counts };
     (session, actor.run(commands))
 }
 
@@ -144,6 +149,10 @@ impl Actor {
         commands: &mut mpsc::Receiver<Command>,
     ) -> Option<Ending> {
         let _ = self.settle().await;
+        let frame_counts = lock(&self.session.book).counts();
+        if frame_counts != self.stored_counts {
+            self.store(Job { frame_counts, ..Job::default() }).await;
+        }
         if let Err(trouble) = self.persister.flushed(patience).await {
             let _ = done.send(Err(trouble));
             return None;
@@ -183,7 +192,7 @@ impl Actor {
                     recording.declare(&declared.spec);
                 }
                 self.session.changed(*meta.clone(), declared.map(|d| *d));
-                let ticket = self.persister.submit(Job { meta: Some(meta), ..Job::default() }).await;
+                let ticket = self.store(Job { meta: Some(meta), ..Job::default() }).await;
                 let _ = done.send(ticket);
                 drop(alone);
             }
@@ -235,10 +244,14 @@ impl Actor {
         let (report, snapshot, memory) = match outcome {
             Ok(done) => done,
             Err(e) => {
-                let refused = frame_error(&e);
-                // A frame that is sent again is no bad input.
+                let mut refused = frame_error(&e);
                 let mut book = lock(&self.session.book);
-                if book.ticket_of(&sensor, stamp).is_none() {
+                // A frame that is sent again is no bad input.
+                let taken = book.taken_as(&sensor, stamp, &look);
+                if taken == TakenAs::Another && matches!(e, FrameError::StampNotIncreasing { .. }) {
+                    refused = stamp_repeated(stamp);
+                }
+                if taken != TakenAs::Same {
                     book.rejected(&sensor, &refused);
                 }
                 drop(book);
@@ -261,10 +274,13 @@ impl Actor {
         keyframes.extend(report.keyframe);
         let (frame, entry, mended) = (Some((sensor.clone(), stamp)), report.trajectory, report.mended);
         let MapChange { loops, dissolved, corrected, merged, .. } = report.map;
+        let counts = lock(&self.session.book).counts_with_accepted(&sensor);
+        let frame_counts = counts.map(|counts| (sensor.clone(), counts)).into_iter().collect();
         let received = Some(came);
         let job = Job {
             received,
             frame,
+            frame_counts,
             entry,
             mended,
             keyframes,
@@ -275,11 +291,17 @@ impl Actor {
             dissolved,
             ..Job::default()
         };
-        let ticket = self.persister.submit(job).await;
+        let ticket = self.store(job).await;
         let latency = came.elapsed();
         lock(&self.session.book).accepted(&sensor, stamp, ticket, (latency, look));
         let latency_s = latency.as_secs_f64();
         Ok(Processed { pose: report.pose, keyframe, latency_s, ticket, is_duplicate: false })
+    }
+
+    /// Queues what is to be stored, with the version of the map that callers see by now; its ticket.
+    async fn store(&mut self, job: Job) -> u64 {
+        let map_version = self.session.snapshot().map_version;
+        self.persister.submit(Job { map_version, ..job }).await
     }
 
     fn sender(&self) -> Asker {
@@ -371,7 +393,7 @@ impl Actor {
         let map_version = snapshot.map_version;
         let report = FrameReport { joined: keyframes, ..FrameReport::default() };
         self.publish(&report, snapshot);
-        let ticket = self.persister.submit(Job { keyframes: report.joined, ..Job::default() }).await;
+        let ticket = self.store(Job { keyframes: report.joined, ..Job::default() }).await;
         Some(Ok(Some(Imported { map_version, ticket })))
     }
 
@@ -409,7 +431,7 @@ impl Actor {
         self.publish(&report, snapshot);
         let MapChange { loops, dissolved, corrected, merged, .. } = report.map.clone();
         let job = Job { loops, dissolved, corrected, merged, objects: Some(objects), ..Job::default() };
-        let ticket = self.persister.submit(job).await;
+        let ticket = self.store(job).await;
         Some(Some((report.map, Moved { num_keyframes, map_version, ticket })))
     }
 }

@@ -6,6 +6,7 @@ use super::fault::{Fault, Trouble};
 use super::frame_look::FrameLook;
 use super::meta::{OverloadPolicy, SensorDeclaration, SessionMeta, SessionMode};
 use super::persist::{Durable, Storing};
+use super::records::{FrameCounts, StateRecord};
 use super::refusal::{check_stamp, frame_error, not_yet_durable, sensor_not_found, stopped};
 use super::scratch::Scratch;
 use super::sensor_book::{SensorBook, SensorStatus, StreamNote};
@@ -65,7 +66,7 @@ impl Session {
     pub(super) fn read_only(
         meta: SessionMeta,
         pipeline: &Pipeline,
-        last_stamps: &BTreeMap<SensorId, Timestamp>,
+        before: &StateRecord,
         fault: Fault,
         limits: &Limits,
         events: Arc<EventLog>,
@@ -73,13 +74,13 @@ impl Session {
         let (queue, _) = mpsc::channel(1);
         let nothing =
             (Durable::nothing(), watch::channel(Storing::Well).1, Scratch::in_directory(None, &Arc::default()));
-        Arc::new(Self::over(meta, pipeline, last_stamps, queue, nothing, Some(fault), limits, events))
+        Arc::new(Self::over(meta, pipeline, before, queue, nothing, Some(fault), limits, events))
     }
 
     pub(super) fn over(
         meta: SessionMeta,
         pipeline: &Pipeline,
-        last_stamps: &BTreeMap<SensorId, Timestamp>,
+        before: &StateRecord,
         queue: mpsc::Sender<Command>,
         (durable, storing, scratch): (Durable, watch::Receiver<Storing>, Arc<Scratch>),
         fault: Option<Fault>,
@@ -88,7 +89,7 @@ impl Session {
     ) -> Self {
         let mut book = SensorBook::default();
         for declaration in &meta.sensors {
-            book.declare(declaration.clone(), last_stamps.get(&declaration.spec.id).copied());
+            book.declare(declaration.clone(), before);
         }
         let (snapshot, share) = (pipeline.snapshot(), SessionShare::default());
         share.map(snapshot.keyframes.len(), snapshot.objects.len());
@@ -148,6 +149,12 @@ impl Session {
             SensorStatus { clock_offset_s, mount_offset, imu_faults, wheels_faults, no_pose, ..s }
         };
         book.all_now().into_iter().map(with_findings).collect()
+    }
+
+    /// Newest accepted stamps, and what was counted of frames.
+    pub(super) fn streams(&self) -> (BTreeMap<SensorId, Timestamp>, BTreeMap<SensorId, FrameCounts>) {
+        let book = lock(&self.book);
+        (book.last_stamps(), book.counts())
     }
 
     /// What doors have to say of streams that are no sensors, or not as they came, by name.

@@ -1,6 +1,7 @@
 //! What is to be stored of a frame.
 
 use super::meta::SessionMeta;
+use super::records::FrameCounts;
 use crate::observe;
 use percept_geometry::{KeyframeId, Pose, SensorId, Timestamp};
 use percept_pipeline::{KeyframeInfo, Loop, LoopId, Merged, NewKeyframe, TrajectoryEntry};
@@ -14,6 +15,10 @@ use std::time::Instant;
 pub(crate) struct Job {
     /// When the frame came.
     pub(crate) received: Option<Instant>,
+    /// The map's version that callers are told of by now.
+    pub(crate) map_version: u64,
+    /// What was counted of sensors, as far as it is another by now.
+    pub(crate) frame_counts: BTreeMap<SensorId, FrameCounts>,
     /// Whose frame it was, and when.
     pub(crate) frame: Option<(SensorId, Timestamp)>,
     pub(crate) entry: Option<TrajectoryEntry>,

@@ -123,7 +123,7 @@ impl Registry {
                 }
             };
         let (meta, stored, scratch) = (recovered.meta, recovered.stored, recovered.scratch);
-        let stamps = stored.state.last_stamps.clone();
+        let state = stored.state.clone();
         let events = Arc::clone(&slot.events);
         if let Some(fault) = recovered.damage {
             tracing::error!(
@@ -133,17 +133,16 @@ impl Registry {
                 "session set apart; what is whole can be read"
             );
             let _ = store.close().await;
-            let session = Session::read_only(meta, &recovered.pipeline, &stamps, fault.clone(), &self.limits, events);
+            let session = Session::read_only(meta, &recovered.pipeline, &state, fault.clone(), &self.limits, events);
             return Ok(Phase::Faulted(fault, Some(session)));
         }
-        let state = stored.state.clone();
         // Before the first frame stores its scan.
         let mark = store.mark();
         let persister = Persister::start(Writer::new(Arc::clone(&store), stored), &state);
         let (compute, specs) = (self.compute.clone(), meta.sensors.iter().map(|s| &s.spec));
         let recording = Recording::of(&slot.recording, specs);
         let kept = (persister, scratch, recording);
-        let (session, actor) = start(meta, recovered.pipeline, &stamps, kept, compute, &self.limits, events);
+        let (session, actor) = start(meta, recovered.pipeline, &state, kept, compute, &self.limits, events);
         let attended = Arc::clone(self).attend(Arc::clone(slot), Arc::clone(&session), actor, Arc::clone(&store));
         tokio::spawn(async move {
             attended.await;
@@ -349,7 +348,9 @@ impl Registry {
         let Some(place) = slot.place.get() else { return };
         let _newest_last = slot.noting.lock().await;
         let written: Result<()> = async {
-            let summary = SummaryRecord { meta: MetaRecord::of(&session.meta())?, counts: counts(session) };
+            let (last_stamps, frame_counts) = session.streams();
+            let meta = MetaRecord::of(&session.meta())?;
+            let summary = SummaryRecord { meta, counts: counts(session), last_stamps, frame_counts };
             self.root.set_summary(place, json(&summary)?).await.map_err(|e| store_error(&e))
         }
         .await;

@@ -4,8 +4,9 @@ use super::fault::{Fault, Trouble, store_error};
 use super::handle::Session;
 use super::meta::{SessionMeta, SessionMode};
 use super::recording::RecordingStatus;
-use super::records::{Counts, MetaRecord, SummaryRecord, parse};
+use super::records::{Counts, MetaRecord, StateRecord, SummaryRecord, parse};
 use super::registry::{Registry, not_found};
+use super::sensor_book::SensorStatus;
 use super::slot::{Phase, Slot};
 use super::state::SessionState;
 use crate::{Result, reason};
@@ -65,19 +66,40 @@ impl Registry {
     /// `SESSION_NOT_FOUND`, `SESSION_FAULTED` if that cannot be read; faults of the storage.
     pub(crate) async fn meta(&self, id: &str) -> Result<SessionMeta> {
         let slot = self.find(id)?;
-        if let Some(session) = view(&slot).live {
-            return Ok(session.meta());
+        match view(&slot).live {
+            Some(session) => Ok(session.meta()),
+            None => Ok(self.stored_meta(id, &slot).await?.0),
         }
+    }
+
+    /// Health of every sensor, without waking it.
+    ///
+    /// # Errors
+    /// As [`Registry::meta`].
+    pub(crate) async fn sensors(&self, id: &str) -> Result<Vec<SensorStatus>> {
+        let slot = self.find(id)?;
+        if let Some(session) = view(&slot).live {
+            return Ok(session.sensors());
+        }
+        let (meta, state) = self.stored_meta(id, &slot).await?;
+        Ok(meta.sensors.into_iter().map(|declaration| SensorStatus::stored(declaration, &state)).collect())
+    }
+
+    /// What a session that sleeps was created with, and how far its streams have come.
+    async fn stored_meta(&self, id: &str, slot: &Slot) -> Result<(SessionMeta, StateRecord)> {
         // Of one that is being created it can be said as soon as it is.
         slot.until(|phase| !matches!(phase, Phase::Creating)).await;
         let place = slot.place.get().ok_or_else(|| not_found(id))?;
         let noted = self.root.summary(place).await.map_err(|e| store_error(&e))?;
         let noted = noted.and_then(|bytes| parse::<SummaryRecord>("the summary", &bytes).ok());
-        let record = match noted {
-            Some(summary) => summary.meta,
-            None => self.unsummarised(place).await?,
+        let (record, state) = match noted {
+            Some(SummaryRecord { meta, last_stamps, frame_counts, .. }) => {
+                (meta, StateRecord { last_stamps, frame_counts, ..StateRecord::default() })
+            }
+            None => (self.unsummarised(place).await?, StateRecord::default()),
         };
-        record.into_meta(&self.defaults).map_err(|e| Fault::new(reason::DATA_DAMAGED, e.to_string()).error())
+        let meta = record.into_meta(&self.defaults);
+        Ok((meta.map_err(|e| Fault::new(reason::DATA_DAMAGED, e.to_string()).error())?, state))
     }
 
     /// The same of a session that has no summary: it has never been awake, or was brought here from elsewhere.

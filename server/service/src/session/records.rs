@@ -174,6 +174,10 @@ pub(crate) struct SummaryRecord {
     pub(crate) meta: MetaRecord,
     #[serde(default)]
     pub(crate) counts: Counts,
+    #[serde(default)]
+    pub(crate) last_stamps: BTreeMap<SensorId, Timestamp>,
+    #[serde(default)]
+    pub(crate) frame_counts: BTreeMap<SensorId, FrameCounts>,
 }
 
 /// How much a session has gathered.
@@ -221,6 +225,19 @@ pub(crate) struct StateRecord {
     pub(crate) last_stamps: BTreeMap<SensorId, Timestamp>,
     pub(crate) next_object_id: u64,
     pub(crate) next_loop_id: u64,
+    /// Of the map that callers were told of.
+    pub(crate) map_version: u64,
+    pub(crate) frame_counts: BTreeMap<SensorId, FrameCounts>,
+}
+
+/// What was counted of a sensor's frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub(crate) struct FrameCounts {
+    pub(crate) accepted: u64,
+    pub(crate) rejected: u64,
+    pub(crate) dropped: u64,
+    pub(crate) gaps: u64,
 }
 
 /// A record of the trajectory: an entry as its frame left it, or a chunk of those.

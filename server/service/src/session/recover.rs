@@ -22,6 +22,10 @@ use std::sync::Arc;
 /// Scans read and decoded at a time.
 const SCANS_AT_ONCE: usize = 16;
 
+/// Callers may have been told of so many versions of a map more than are stored when a server is killed: a few for each frame
+/// that waits for the disk, of which there are 256 at most.
+const NOT_STORED: u64 = 1000;
+
 /// A session as it was stored.
 pub(super) struct Recovered {
     pub(super) meta: SessionMeta,
@@ -73,6 +77,7 @@ pub(super) async fn recover(
         next_loop_id: state.next_loop_id,
         next_object_id: state.next_object_id,
         last_stamps: state.last_stamps,
+        map_version: state.map_version + NOT_STORED,
     };
     if damage.first.is_some() {
         restored.loops.retain(|l| whole.contains(&l.closure.from) && whole.contains(&l.closure.to));

@@ -93,6 +93,16 @@ fn not_increasing(stamp: Timestamp, last: Timestamp) -> Error {
     Error::invalid(reason::CLOCK_SET_BACK, "stamp_ns", words)
 }
 
+/// Another frame of this stamp was taken in.
+pub(crate) fn stamp_repeated(stamp: Timestamp) -> Error {
+    let words = format!(
+        "stamp_ns is {}, which another frame of this sensor had; send the time of measuring in nanoseconds: each frame has its \
+         own",
+        stamp.nanos()
+    );
+    Error::invalid(reason::STAMP_REPEATED, "stamp_ns", words)
+}
+
 /// A kind of sensor as the contract spells it.
 fn word(kind: SensorKind) -> String {
     format!("{kind:?}").to_lowercase()

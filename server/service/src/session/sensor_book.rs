@@ -2,6 +2,7 @@
 
 use super::frame_look::FrameLook;
 use super::meta::SensorDeclaration;
+use super::records::{FrameCounts, StateRecord};
 use super::refusal::ahead_ns;
 use super::stream_figures::{Recent, StreamFigures};
 use crate::Error;
@@ -80,14 +81,22 @@ pub enum NoPose {
 }
 
 impl SensorStatus {
-    /// Of a sensor that has sent nothing since the server was started.
-    pub fn unseen(declaration: SensorDeclaration, last_stamp: Option<Timestamp>) -> Self {
+    fn counts(&self) -> FrameCounts {
+        let Self { accepted, rejected, dropped, gaps, .. } = *self;
+        FrameCounts { accepted, rejected, dropped, gaps }
+    }
+
+    /// Of a sensor of which nothing has come since the session woke, by what is stored of it.
+    pub(crate) fn stored(declaration: SensorDeclaration, state: &StateRecord) -> Self {
+        let id = &declaration.spec.id;
+        let FrameCounts { accepted, rejected, dropped, gaps } = state.frame_counts.get(id).copied().unwrap_or_default();
+        let last_stamp = state.last_stamps.get(id).copied();
         Self {
             declaration,
-            accepted: 0,
-            rejected: 0,
-            dropped: 0,
-            gaps: 0,
+            accepted,
+            rejected,
+            dropped,
+            gaps,
             figures: StreamFigures::default(),
             refusals: Vec::new(),
             last_stamp,
@@ -104,15 +113,35 @@ impl SensorStatus {
 /// Frames whose tickets are remembered, for senders who send again what they do not know to be stored.
 const TICKETS: usize = 256;
 
+/// A frame that was taken in.
+#[derive(Debug, Clone, Copy)]
+struct Taken {
+    stamp: Timestamp,
+    ticket: u64,
+    /// None of one that was taken in before the session woke.
+    look: Option<FrameLook>,
+}
+
 #[derive(Debug, Clone)]
 struct Entry {
     status: SensorStatus,
     recent: Recent,
     /// The newest frames, oldest first.
-    tickets: VecDeque<(Timestamp, u64)>,
+    tickets: VecDeque<Taken>,
     last_sequence: u64,
     /// How far the newest stamp was ahead of the server's clock when it was taken in, nanoseconds.
     ahead_ns: Option<i64>,
+}
+
+/// What was taken in of a stamp before a frame of the same stamp came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TakenAs {
+    /// Nothing that is remembered.
+    Nothing,
+    /// The same frame: it is sent again.
+    Same,
+    /// Another frame.
+    Another,
 }
 
 /// All sensors of a session.
@@ -123,11 +152,13 @@ pub(crate) struct SensorBook {
 }
 
 impl SensorBook {
-    pub(crate) fn declare(&mut self, declaration: SensorDeclaration, last_stamp: Option<Timestamp>) {
+    /// Takes in what is known of a sensor: where its stamps have come to, and what was counted, before the session slept.
+    pub(crate) fn declare(&mut self, declaration: SensorDeclaration, before: &StateRecord) {
         let id = declaration.spec.id.clone();
+        let status = SensorStatus::stored(declaration, before);
         // What was taken in before a restart is durable.
-        let tickets = last_stamp.map(|stamp| (stamp, 0)).into_iter().collect();
-        let status = SensorStatus::unseen(declaration, last_stamp);
+        let taken = |stamp| Taken { stamp, ticket: 0, look: None };
+        let tickets = status.last_stamp.map(taken).into_iter().collect();
         self.entries.insert(id, Entry { status, recent: Recent::default(), tickets, last_sequence: 0, ahead_ns: None });
     }
 
@@ -152,7 +183,7 @@ impl SensorBook {
     pub(crate) fn redeclare(&mut self, declaration: SensorDeclaration) {
         match self.entries.get_mut(&declaration.spec.id).filter(|e| e.status.last_stamp.is_some()) {
             Some(entry) => entry.status.declaration = declaration,
-            None => self.declare(declaration, None),
+            None => self.declare(declaration, &StateRecord::default()),
         }
     }
 
@@ -194,13 +225,39 @@ impl SensorBook {
     /// The ticket of a frame that was taken in not long ago.
     pub(crate) fn ticket_of(&self, id: &SensorId, stamp: Timestamp) -> Option<u64> {
         let tickets = &self.entries.get(id)?.tickets;
-        tickets.iter().rev().find(|(s, _)| *s == stamp).map(|(_, ticket)| *ticket)
+        tickets.iter().rev().find(|t| t.stamp == stamp).map(|t| t.ticket)
+    }
+
+    /// What was taken in of a stamp, beside what came of it now.
+    pub(crate) fn taken_as(&self, id: &SensorId, stamp: Timestamp, look: &FrameLook) -> TakenAs {
+        let taken = self.entries.get(id).and_then(|e| e.tickets.iter().rev().find(|t| t.stamp == stamp));
+        match taken {
+            None => TakenAs::Nothing,
+            Some(taken) if taken.look.is_none_or(|l| l == *look) => TakenAs::Same,
+            Some(_) => TakenAs::Another,
+        }
     }
 
     /// A ticket with which a frame of this stamp is durable if it was taken in at all: its own, or the newest of its sensor
     /// for one of long ago.
     pub(crate) fn ticket_covering(&self, id: &SensorId, stamp: Timestamp) -> Option<u64> {
-        self.ticket_of(id, stamp).or_else(|| Some(self.entries.get(id)?.tickets.back()?.1))
+        self.ticket_of(id, stamp).or_else(|| Some(self.entries.get(id)?.tickets.back()?.ticket))
+    }
+
+    /// The newest accepted stamps.
+    pub(crate) fn last_stamps(&self) -> BTreeMap<SensorId, Timestamp> {
+        self.entries.iter().filter_map(|(id, entry)| Some((id.clone(), entry.status.last_stamp?))).collect()
+    }
+
+    /// What was counted of each sensor.
+    pub(crate) fn counts(&self) -> BTreeMap<SensorId, FrameCounts> {
+        self.entries.iter().map(|(id, entry)| (id.clone(), entry.status.counts())).collect()
+    }
+
+    /// What will have been counted of a sensor once its frame at hand is noted as accepted.
+    pub(crate) fn counts_with_accepted(&self, id: &SensorId) -> Option<FrameCounts> {
+        let counts = self.get(id)?.counts();
+        Some(FrameCounts { accepted: counts.accepted + 1, ..counts })
     }
 
     /// Notes a frame that was worked in `latency` after it had come.
@@ -217,7 +274,7 @@ impl SensorBook {
         let ahead_ns = ahead_ns(stamp);
         entry.ahead_ns = Some(ahead_ns);
         entry.recent.add(stamp, ahead_ns, latency, look);
-        entry.tickets.push_back((stamp, ticket));
+        entry.tickets.push_back(Taken { stamp, ticket, look: Some(look) });
         if entry.tickets.len() > TICKETS {
             entry.tickets.pop_front();
         }

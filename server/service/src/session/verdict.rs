@@ -21,6 +21,16 @@ const UNTURNED: f64 = 0.02;
 /// view, of a side, are between these, radians: 8 and 172 degrees.
 const LENS: (f64, f64, (f64, f64)) = (0.2, 1.3, (0.14, 3.0));
 
+/// No lidar and no camera sends more frames a second, and no IMU or wheels more samples, hertz: stamps that say so are in a
+/// larger unit than nanoseconds.
+const FASTEST_HZ: (f64, f64) = (1e3, 2e4);
+/// The units that stamps come in instead, nanoseconds, smallest first.
+const STAMP_UNITS: [(f64, &str); 3] = [(1e3, "microseconds"), (1e6, "milliseconds"), (1e9, "seconds")];
+/// When stamps are from that count since 1970, seconds: of this century.
+const CENTURY_S: std::ops::Range<f64> = 946_684_800.0..4_102_444_800.0;
+/// No robot carries a sensor so far from its base, metres.
+const FARTHEST_MOUNT_M: f64 = 30.0;
+
 /// How a stream fares; `Display` says it to an operator.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Verdict {
@@ -82,6 +92,18 @@ pub enum StreamTrouble {
         /// By how much, way and all, seconds.
         ahead_s: f64,
     },
+    /// Its stamps are in another unit than nanoseconds.
+    StampUnit {
+        /// Its rate by its stamps, hertz.
+        rate_hz: f64,
+        /// What they seem to be.
+        unit: &'static str,
+    },
+    /// Its mount is farther from the robot's base than any robot reaches.
+    MountFar {
+        /// How far, metres.
+        distance_m: f64,
+    },
     /// Its distances are in another unit than metres.
     RangeUnit {
         /// The median, if it were metres.
@@ -141,9 +163,13 @@ impl Verdict {
             (status.gaps > 0).then_some(StreamTrouble::Gaps { count: status.gaps }),
             status.silent_s.map(|silent_s| StreamTrouble::Silent { silent_s }),
             figures.delay_s.filter(|s| *s < -AHEAD_S).map(|s| StreamTrouble::ClockAhead { ahead_s: -s }),
+            stamp_unit(status),
             clock.clone(),
             range_unit(spec.kind, figures),
             figures.measured_ratio.filter(|r| *r < LITTLE).map(|ratio| StreamTrouble::SeesLittle { ratio }),
+            Some(spec.t_base_sensor.translation.vector.norm())
+                .filter(|m| *m > FARTHEST_MOUNT_M)
+                .map(|distance_m| StreamTrouble::MountFar { distance_m }),
             (is_camera(spec.kind) && spec.t_base_sensor.rotation.angle() < UNTURNED)
                 .then_some(StreamTrouble::OpticalFrame),
             spec.intrinsics.as_ref().and_then(odd_lens).map(|what| StreamTrouble::Intrinsics { what }),
@@ -153,7 +179,7 @@ impl Verdict {
         .flatten()
         .collect();
         troubles.extend(imu);
-        troubles.extend(status.wheels_faults.iter().copied().map(StreamTrouble::Wheels));
+        troubles.extend(wheels_told(&status.wheels_faults).map(StreamTrouble::Wheels));
         troubles.extend(status.no_pose.map(StreamTrouble::NoPose));
         if troubles.is_empty() { Self::Good } else { Self::Troubled(troubles) }
     }
@@ -169,6 +195,27 @@ impl Verdict {
 
 fn is_camera(kind: SensorKind) -> bool {
     matches!(kind, SensorKind::Depth | SensorKind::Rgbd | SensorKind::Camera)
+}
+
+/// Stamps nearer to each other than any sensor of this kind measures.
+fn stamp_unit(status: &SensorStatus) -> Option<StreamTrouble> {
+    let fastest_hz = if status.declaration.spec.kind.can_move_the_pose() { FASTEST_HZ.0 } else { FASTEST_HZ.1 };
+    let rate_hz = status.figures.rate_hz.filter(|rate| *rate > fastest_hz)?;
+    let stamp = status.last_stamp.map_or(0.0, |stamp| stamp.nanos() as f64);
+    let is_date = |(ns, _): &(f64, &str)| CENTURY_S.contains(&(stamp * ns * 1e-9));
+    let is_rate = |(ns, _): &(f64, &str)| rate_hz / ns <= fastest_hz;
+    let [.., largest] = STAMP_UNITS;
+    let found = STAMP_UNITS.into_iter().find(is_date).or_else(|| STAMP_UNITS.into_iter().find(is_rate));
+    Some(StreamTrouble::StampUnit { rate_hz, unit: found.unwrap_or(largest).1 })
+}
+
+/// Wheels that are unlike in way and in turning are told once.
+fn wheels_told(faults: &[WheelsFault]) -> impl Iterator<Item = WheelsFault> {
+    let unlike =
+        faults.iter().filter_map(|f| if let WheelsFault::Unlike { agreement } = f { Some(*agreement) } else { None });
+    let least = unlike.reduce(f64::min).map(|agreement| WheelsFault::Unlike { agreement });
+    let others = faults.iter().copied().filter(|f| !matches!(f, WheelsFault::Unlike { .. }));
+    others.chain(least)
 }
 
 /// Distances that no sensor of this kind measures.
@@ -256,6 +303,15 @@ impl fmt::Display for StreamTrouble {
                 f,
                 "its stamps are {ahead_s:.2} s ahead of the server's clock; set the robot's clock, e.g. by NTP (SyncTime \
                  measures the offset)"
+            ),
+            Self::StampUnit { rate_hz, unit } => write!(
+                f,
+                "by its stamps it sends {rate_hz:.0} frames a second: they seem to be in {unit}; send nanoseconds since 1970"
+            ),
+            Self::MountFar { distance_m } => write!(
+                f,
+                "its mount is {distance_m:.0} m from the robot's base; send t_base_sensor in metres, from base_link to the \
+                 sensor (UpdateSensor)"
             ),
             Self::RangeUnit { median_m } => {
                 write!(f, "what it sees lies {median_m:.3} m away in the median, if that is metres; ")?;
@@ -372,6 +428,7 @@ fn imu_words(f: &mut fmt::Formatter<'_>, fault: &ImuFault, rate_hz: Option<f64>)
 
 #[cfg(test)]
 mod tests {
+    use super::super::records::StateRecord;
     use super::*;
     use crate::{OverloadPolicy, SensorDeclaration};
     use percept_geometry::{Pose, SensorId, SensorSpec};
@@ -393,7 +450,7 @@ mod tests {
             median_range_m: Some(2.0),
             ..StreamFigures::default()
         };
-        SensorStatus { accepted: 1, figures, ..SensorStatus::unseen(declaration, None) }
+        SensorStatus { accepted: 1, figures, ..SensorStatus::stored(declaration, &StateRecord::default()) }
     }
 
     fn only_trouble(status: &SensorStatus) -> StreamTrouble {
@@ -423,6 +480,13 @@ mod tests {
         assert!(millimetres.to_string().contains("metres_per_unit 0.001"), "{millimetres}");
         assert_eq!(with(|s| s.figures.measured_ratio = Some(0.01)), StreamTrouble::SeesLittle { ratio: 0.01 });
         assert_eq!(with(|s| s.figures.delay_s = Some(-2.5)), StreamTrouble::ClockAhead { ahead_s: 2.5 });
+        let unit = |rate_hz: f64| match with(|s| s.figures.rate_hz = Some(rate_hz)) {
+            StreamTrouble::StampUnit { unit, .. } => unit,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!((unit(3e4), unit(1e7), unit(1e9)), ("microseconds", "milliseconds", "seconds"));
+        let far = with(|s| s.declaration.spec.t_base_sensor.translation.vector.z = 1000.0);
+        assert_eq!(far, StreamTrouble::MountFar { distance_m: 1000.0 });
         assert_eq!(with(|s| s.silent_s = Some(7.0)), StreamTrouble::Silent { silent_s: 7.0 });
         assert_eq!(with(|s| s.declaration.spec.t_base_sensor = Pose::identity()), StreamTrouble::OpticalFrame);
         let lens = with(|s| {
@@ -430,6 +494,8 @@ mod tests {
             s.declaration.spec.intrinsics = Some(CameraIntrinsics::pinhole(320, 240, 525.0, 525.0, 319.5, 239.5));
         });
         assert!(matches!(lens, StreamTrouble::Intrinsics { .. }), "{lens:?}");
+        let twice = with(|s| s.wheels_faults = [0.3, 0.1].map(|agreement| WheelsFault::Unlike { agreement }).to_vec());
+        assert_eq!(twice, StreamTrouble::Wheels(WheelsFault::Unlike { agreement: 0.1 }));
         let wheels = with(|s| s.wheels_faults = vec![WheelsFault::Turns { factor: 0.5 }]);
         assert!(wheels.to_string().contains("0.50 times the turning"), "{wheels}");
     }

@@ -97,6 +97,8 @@ impl Writer {
                 out.put((keys::meta(), json(&MetaRecord::of(meta)?)?));
             }
             state.last_stamps.extend(job.frame.clone());
+            state.frame_counts.extend(job.frame_counts.clone());
+            state.map_version = state.map_version.max(job.map_version);
             state.ticket = *ticket;
         }
         let objects = batch.iter().rev().find_map(|(_, job)| job.objects.as_ref());

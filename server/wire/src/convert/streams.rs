@@ -76,6 +76,8 @@ fn trouble_to(trouble: &StreamTrouble) -> v1::StreamTrouble {
         },
         StreamTrouble::Silent { .. } => K::Silent,
         StreamTrouble::ClockAhead { .. } => K::ClockAhead,
+        StreamTrouble::StampUnit { .. } => K::StampUnit,
+        StreamTrouble::MountFar { .. } => K::MountFar,
         StreamTrouble::RangeUnit { .. } => K::RangeUnit,
         StreamTrouble::SeesLittle { .. } => K::SeesLittle,
         StreamTrouble::OpticalFrame => K::OpticalFrame,

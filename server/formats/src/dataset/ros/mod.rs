@@ -19,6 +19,9 @@ use std::path::Path;
 use std::sync::Arc;
 use survey::{Recorded, Survey, odometry_of_transforms};
 
+/// So many topics are told of at most, in one note.
+const MOST_TOLD: usize = 40;
+
 /// Opens a recording.
 ///
 /// # Errors
@@ -79,6 +82,20 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
         beside.extend(imu.samples.iter().cloned());
     }
     let beside = in_order(beside);
+    let told = |i: &usize| {
+        let t = &survey.topics[*i];
+        format!("{} ({}, {})", t.topic.name, t.topic.type_name, t.count)
+    };
+    let told = |of: &[usize]| of.iter().take(MOST_TOLD).map(told).collect::<Vec<_>>().join(", ");
+    notes.push(format!("taken: {}", told(&taken)));
+    let is_read_for_others = |c: &Content| matches!(c, Content::Transforms | Content::Calibration { .. });
+    let is_left = |(i, t): &(usize, &Recorded)| {
+        !taken.contains(i) && !t.topic.content.is_sensing() && !is_read_for_others(&t.topic.content)
+    };
+    let left: Vec<usize> = survey.topics.iter().enumerate().filter(is_left).map(|(i, _)| i).collect();
+    if !left.is_empty() {
+        notes.push(format!("of no use here: {}", told(&left)));
+    }
     for (i, t) in survey.topics.iter().enumerate() {
         if let Some(fault) = &t.fault {
             notes.push(format!(
@@ -127,7 +144,7 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
 fn primary(path: &Path, survey: &Survey, options: &OpenOptions) -> Result<usize, FormatError> {
     let listed = || {
         let each = survey.topics.iter().map(|t| format!("{} ({}, {})", t.topic.name, t.topic.type_name, t.count));
-        each.take(40).collect::<Vec<_>>().join(", ")
+        each.take(MOST_TOLD).collect::<Vec<_>>().join(", ")
     };
     let refused = |reason: String| Err(FormatError::Recording { reason: format!("{}: {reason}", path.display()) });
     if let Some(wanted) = &options.topic {
