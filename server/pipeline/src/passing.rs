@@ -10,6 +10,7 @@ use crate::live::News;
 use crate::visibility::Beams;
 use nalgebra::Point3;
 use percept_geometry::{OrientedBox3, Pose, SensorId, Timestamp};
+use percept_mapping::CloudMap;
 use percept_perception::detection::find_passing;
 use percept_scene::{ObjectChange, ObjectId, Observation, Tracker, Visibility};
 use std::collections::{BTreeMap, VecDeque};
@@ -61,16 +62,17 @@ impl Passing {
         self.newest.get(sensor).is_none_or(|newest| !(0.0..EVERY_S).contains(&stamp.seconds_since(*newest)))
     }
 
-    /// Begins to look through a frame, at `standing`, too.
+    /// Begins to look through a frame, at `standing`, too, and what the map's `cloud` holds of it.
     pub(crate) fn look(
         &mut self,
         (sensor, stamp): (&SensorId, Timestamp),
         executor: Option<&Arc<dyn Executor>>,
-        standing: Standing,
+        (standing, cloud): (Standing, CloudMap),
         news: impl FnOnce() -> News + Send + 'static,
     ) {
         self.newest.insert(sensor.clone(), stamp);
-        self.looks.push_back(Look { stamp, task: Task::begin(executor, move || Found::of(&news(), &standing)) });
+        self.looks
+            .push_back(Look { stamp, task: Task::begin(executor, move || Found::of(&news(), &standing, &cloud)) });
     }
 
     /// Whether something was begun and not taken in.
@@ -119,7 +121,7 @@ impl Passing {
 }
 
 impl Found {
-    fn of(news: &News, standing: &Standing) -> Self {
+    fn of(news: &News, standing: &Standing, cloud: &CloudMap) -> Self {
         let floor_z = news.t_map_base.translation.vector.z - news.scan.base_height_m;
         let viewer = news.t_map_base * Point3::from(news.scan.t_base_sensor.translation.vector);
         let things = find_passing(&news.points, &viewer, floor_z);
@@ -132,7 +134,11 @@ impl Found {
             is_seen: true,
         });
         let beams = Beams::new(&news.scan);
-        let looked = standing.iter().map(|(id, bbox)| (*id, beams.visibility(&news.t_map_base, bbox)));
+        let look = |bbox: &OrientedBox3| match beams.visibility(&news.t_map_base, bbox) {
+            Visibility::SeenThrough if !beams.has_gone(&news.t_map_base, bbox, cloud) => Visibility::Occupied,
+            looked => looked,
+        };
+        let looked = standing.iter().map(|(id, bbox)| (*id, look(bbox)));
         let standing = looked.filter(|(_, looked)| *looked != Visibility::Unseen).collect();
         Self { observations: observations.collect(), t_map_base: news.t_map_base, beams, standing }
     }

@@ -195,7 +195,7 @@ impl Pipeline {
             && self.scene.wants_news(of.0, of.1)
             && let Some(news) = self.newest.news(of, map, graph.map().layers().occupancy, self.params.detection.range_m)
         {
-            self.scene.look_for_passing(of, &(map.0 * t_odom_base), news);
+            self.scene.look_for_passing(of, (&(map.0 * t_odom_base), graph.map().layers().cloud), news);
         }
     }
 

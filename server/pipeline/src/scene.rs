@@ -14,7 +14,7 @@ use crate::visibility::Beams;
 use crate::{Chunks, DetectionSettings, KeyframeInfo, NewKeyframe, ParamsError, PipelineParams, Preset};
 use nalgebra::{Point3, Translation3, UnitQuaternion};
 use percept_geometry::{KeyframeId, OrientedBox3, PointCloud, Pose, SensorId, Timestamp};
-use percept_mapping::MapLayers;
+use percept_mapping::{CloudMap, MapLayers};
 use percept_perception::detection::outdoor::{OutdoorDetector, OutdoorParams};
 use percept_perception::detection::{ClassExample, Detection, Detector, GaussianClassifier, ImageDetectors};
 use percept_perception::segmentation::GroundParams;
@@ -81,6 +81,8 @@ struct Found {
     /// In the map as it was when the search was begun.
     observations: Vec<Observation>,
     beams: Beams,
+    /// What the map held there; none of a sweep.
+    cloud: Option<CloudMap>,
     /// Where the map has something of which nothing is left.
     empty: Vec<OrientedBox3>,
 }
@@ -214,7 +216,7 @@ impl Scene {
             if let Some(learned) = learned {
                 learned.add_to(&mut observations, &t_map_base);
             }
-            Found { observations, beams, empty }
+            Found { observations, beams, cloud: Some(cloud), empty }
         });
         self.begun(keyframe, task, Searched::Around);
     }
@@ -242,7 +244,12 @@ impl Scene {
                 Observation { class, confidence, bbox, num_points, is_moving, is_seen: true }
             };
             let near = found.iter().filter(|d| d.bbox.center().coords.norm() <= range_m);
-            Found { observations: near.map(observation).collect(), beams: Beams::new(&scan), empty: vec![] }
+            Found {
+                observations: near.map(observation).collect(),
+                beams: Beams::new(&scan),
+                cloud: None,
+                empty: vec![],
+            }
         });
         self.begun(keyframe, task, Searched::Sweep);
     }
@@ -273,11 +280,11 @@ impl Scene {
     pub(crate) fn look_for_passing(
         &mut self,
         of: (&SensorId, Timestamp),
-        t_map_base: &Pose,
+        (t_map_base, cloud): (&Pose, CloudMap),
         news: impl FnOnce() -> News + Send + 'static,
     ) {
         let standing = self.tracker.standing_near(&Point3::from(t_map_base.translation.vector), self.settings.range_m);
-        self.passing.look(of, self.executor.as_ref(), standing, news);
+        self.passing.look(of, self.executor.as_ref(), (standing, cloud), news);
     }
 
     /// Takes in what was found and is due at a frame; all that was begun, if there is none. `keyframes` are where they are now.
@@ -301,11 +308,11 @@ impl Scene {
     }
 
     fn take_in(&mut self, search: &Search, keyframes: &Chunks<KeyframeInfo>) -> Vec<ObjectChange> {
-        let Found { mut observations, beams, mut empty } = search.task.finished();
+        let Found { mut observations, beams, cloud, mut empty } = search.task.finished();
         let keyframe = usize::try_from(search.keyframe.0).ok().and_then(|i| keyframes.get(i));
         let t_map_base = keyframe.map_or(search.t_map_base, |k| k.t_map_base);
+        let t_new_old = t_map_base * search.t_map_base.inverse();
         if t_map_base != search.t_map_base {
-            let t_new_old = t_map_base * search.t_map_base.inverse();
             let boxes = observations.iter_mut().map(|o| &mut o.bbox).chain(&mut empty);
             boxes.for_each(|b| *b = upright(&b.transformed(&t_new_old)));
         }
@@ -316,7 +323,15 @@ impl Scene {
         // Most of it, not a piece in its middle.
         let is_of = |e: &OrientedBox3, b: &OrientedBox3| 2.0 * e.volume() > b.volume() && e.contains(&b.center());
         let is_empty = |b: &OrientedBox3| empty.iter().any(|e| is_of(e, b) && b.contains(&e.center()));
-        self.tracker.update(search.stamp, &observations, &|b| match beams.visibility(&t_map_base, b) {
+        let has_gone = |b: &OrientedBox3| {
+            let then = upright(&b.transformed(&t_new_old.inverse()));
+            cloud.as_ref().is_none_or(|cloud| beams.has_gone(&search.t_map_base, &then, cloud))
+        };
+        let look = |b: &OrientedBox3| match beams.visibility(&t_map_base, b) {
+            Visibility::SeenThrough if !has_gone(b) => Visibility::Occupied,
+            looked => looked,
+        };
+        self.tracker.update(search.stamp, &observations, &|b| match look(b) {
             _ if is_empty(b) => Visibility::SeenThrough,
             Visibility::SeenThrough => Visibility::SeenThrough,
             Visibility::Unseen if search.what == Searched::Sweep => Visibility::Unseen,

@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{KeyframeScan, OrientedBox3, Pose};
+use percept_mapping::CloudMap;
 use percept_scene::Visibility;
 
 /// Bins of 2 degrees: what lidars with few rings have them apart.
@@ -22,6 +23,10 @@ const BESIDE_M: f64 = 0.03;
 const MOST_POINTS: usize = 100;
 /// and this share of them at least has to be seen through.
 const SHARE_OF_POINTS: f64 = 0.25;
+/// What lies so near to a side of a box may be the wall that the thing stands at, metres: three deviations of a lidar's noise.
+const AT_WALL_M: f64 = 0.04;
+/// A thing of which the map has fewer points is none of its own.
+const FEW_POINTS: usize = 10;
 /// The inner part of a box, by edges: things do not fill theirs.
 const INNER: f64 = 0.6;
 
@@ -79,6 +84,22 @@ impl Beams {
         }
         f64::from(through) >= SHARE_OF_POINTS * f64::from(num.max(1))
             && f64::from(hits) <= MOST_HITS * f64::from(hits + through)
+    }
+
+    /// Whether a thing that stood in a box, and through whose middle a robot at `t_map_base` sees, is gone: the map holds nothing of it
+    /// any more, or nothing of that is left. The front of a shelf is open, and beams end at its back, under a chair they pass:
+    /// by the box alone both are seen through.
+    pub(crate) fn has_gone(&self, t_map_base: &Pose, bbox: &OrientedBox3, cloud: &CloudMap) -> bool {
+        let off = |size: f64| size - 2.0 * AT_WALL_M.min(0.2 * size);
+        let size = Vector3::new(off(bbox.size.x), off(bbox.size.y), bbox.size.z);
+        let inner = OrientedBox3 { size, ..*bbox };
+        let known = cloud.points_within(&inner.center(), 0.5 * size.norm()).positions;
+        let is_of_it = |p: &&Point3<f32>| {
+            let p = inner.t_frame_box.inverse_transform_point(&p.cast());
+            p.coords.iter().zip(&size).all(|(at, size)| at.abs() <= 0.5 * size) && above_bottom(p.z, size.z)
+        };
+        known.iter().filter(is_of_it).take(FEW_POINTS).count() < FEW_POINTS
+            || self.finds_empty(t_map_base, &inner, &known)
     }
 
     /// What the beams say of a point, sensor frame: that they go on behind it (true), that one ends there (false), or nothing.

@@ -189,6 +189,26 @@ mod tests {
     }
 
     #[test]
+    fn a_table_seen_from_below_its_top_has_its_legs() {
+        // Half the edges of its top, and legs of which two stand alone.
+        let slab =
+            |x: f64, y: f64, z: f64, size: [f64; 3]| OrientedBox3::upright(Point3::new(x, y, z), size.into(), 0.0);
+        let legs = [(-0.5, -0.35), (0.5, -0.35), (-0.5, 0.35), (0.5, 0.35)];
+        let mut points = room();
+        legs.iter().for_each(|(x, y)| faces(&slab(*x, *y, 0.36, [0.06, 0.06, 0.72]), 0.03, &mut points));
+        for x in [-0.4, 0.4] {
+            faces(&slab(x, 0.35, 0.71, [0.26, 0.06, 0.05]), 0.03, &mut points);
+        }
+        // A bin as high as that, but no leg.
+        faces(&slab(-0.5, -1.2, 0.36, [0.35, 0.35, 0.72]), 0.03, &mut points);
+        let found = detect(points);
+        assert_eq!(found.len(), 2, "{:?}", found.iter().map(|d| (d.class, d.bbox)).collect::<Vec<_>>());
+        let whole = slab(0.0, 0.0, 0.37, [1.06, 0.76, 0.74]);
+        let boxes = found.iter().map(|d| (d.class, d.bbox.center().coords, d.bbox.size)).collect::<Vec<_>>();
+        assert!(found.iter().any(|d| d.bbox.iou_upright(&whole) > 0.7), "{boxes:?}");
+    }
+
+    #[test]
     fn the_floor_may_lie_off_zero_and_tilt_a_little() {
         let truth = OrientedBox3::upright(Point3::new(1.0, 0.5, 0.25), Vector3::new(0.5, 0.4, 0.5), 0.4);
         let mut points = room();

@@ -12,6 +12,21 @@ const SHARED: f64 = 0.5;
 /// Parts of one object are at most this far apart in height, metres: a seat and its back, a top and its legs.
 const MAX_GAP_M: f64 = 0.5;
 
+/// So much larger than the least rectangle around a thing one along its sides may be.
+const MOST_LARGER: f64 = 1.25;
+/// A leg as it is seen, metres: four to ten centimetres as they are made, and a voxel or two of noise.
+const LEG_M: f64 = 0.2;
+/// What lies lower than this share of the height is leg.
+const LEG_SHARE: f64 = 0.75;
+/// Tables are so high, metres: three deviations of [`super::GaussianClassifier`]'s model.
+const TABLE_HEIGHTS_M: (f64, f64) = (0.59, 0.89);
+/// Pieces of one top end at one height, metres: a voxel.
+const SAME_TOP_M: f64 = 0.06;
+/// What is seen of a table is so long at least, metres: less is a chair.
+const LEAST_TABLE_M: f64 = 0.6;
+/// And so long and wide at most, metres.
+const MOST_TABLE_M: (f64, f64) = (2.1, 1.2);
+
 /// A back this near to a wall was taken for the wall, metres.
 const MAX_LEAN_M: f64 = 0.09;
 /// Parallel within 12 degrees.
@@ -59,10 +74,14 @@ pub(super) fn propose(
         .filter_map(|members| boxed(members.iter().map(|&i| free[i]).collect(), params.box_trim))
         .collect();
     mend(&mut parts, params);
+    gather_legs(&mut parts, structure, params);
     parts.retain(|part| is_object(part, structure, params));
     let proposal = |Part { points, bbox }| {
         let sides = Sides::of(&points);
         let along = sides.yaw().and_then(|yaw| upright_box_along(&points, yaw, params.box_trim));
+        // Two faces fill either rectangle alike; where this one is much larger, thin legs have told the direction.
+        let area = |b: &OrientedBox3| b.size.x * b.size.y;
+        let along = along.filter(|along| area(along) <= MOST_LARGER * area(&bbox));
         let mut proposal = Proposal { bbox: along.unwrap_or(bbox), points, sides };
         stand(&mut proposal, structure);
         lean(&mut proposal, structure);
@@ -92,6 +111,58 @@ fn mend(parts: &mut Vec<Part>, params: &DetectionParams) {
             None => i += 1,
         }
     }
+}
+
+/// Puts the pieces of tables together: who looks from below a top sees legs, with pieces of the edge above them, and nothing between.
+fn gather_legs(parts: &mut Vec<Part>, structure: &Structure, params: &DetectionParams) {
+    let mut pieces: Vec<Part> = parts.extract_if(.., |part| stands_on_a_leg(part, structure)).collect();
+    let joined = |a: &Part, b: &Part| {
+        let top = |p: &Part| p.bbox.center().z + 0.5 * p.bbox.size.z;
+        let is_one = (top(a) - top(b)).abs() <= SAME_TOP_M;
+        let points = || a.points.iter().chain(&b.points).copied().collect();
+        let both = is_one.then(|| boxed(points(), params.box_trim)).flatten();
+        both.filter(|both| long(both) <= MOST_TABLE_M.0 && short(both) <= MOST_TABLE_M.1)
+    };
+    let area = |p: &Part| p.bbox.size.x * p.bbox.size.y;
+    while let Some(piece) = pieces.pop() {
+        let grown = |other: &Part| {
+            let both = joined(other, &piece)?;
+            (long(&both) >= LEAST_TABLE_M).then(|| (area(&both) - area(other), both))
+        };
+        // The one that grows least by it; of tables first.
+        let least = |of: &[Part], is_wanted: &dyn Fn(&Part) -> bool| {
+            let found = of.iter().enumerate().filter(|(_, p)| is_wanted(p)).filter_map(|(i, p)| Some((i, grown(p)?)));
+            found.min_by(|a, b| a.1.0.total_cmp(&b.1.0)).map(|(i, (_, both))| (i, both))
+        };
+        if let Some((i, both)) = least(parts, &|p| long(p) >= LEAST_TABLE_M) {
+            parts[i] = both;
+        } else if let Some((i, both)) = least(&pieces, &|_| true) {
+            pieces.remove(i);
+            parts.push(both);
+        } else {
+            parts.push(piece);
+        }
+    }
+    parts.sort_by_key(|p| std::cmp::Reverse(p.points.len()));
+}
+
+fn long(part: &Part) -> f64 {
+    part.bbox.size.x.max(part.bbox.size.y)
+}
+
+fn short(part: &Part) -> f64 {
+    part.bbox.size.x.min(part.bbox.size.y)
+}
+
+/// Whether a part is as high as tables are, no longer than half of one, and all of it below its top is one leg.
+fn stands_on_a_leg(part: &Part, structure: &Structure) -> bool {
+    let height = structure.height(&part.bbox.center()) + 0.5 * part.bbox.size.z;
+    if !(TABLE_HEIGHTS_M.0..=TABLE_HEIGHTS_M.1).contains(&height) || long(part) > LEAST_TABLE_M {
+        return false;
+    }
+    let low: Vec<Point3<f32>> =
+        part.points.iter().filter(|p| structure.height(&p.cast()) < LEG_SHARE * height).copied().collect();
+    upright_box_trimmed(&low, 0.0).is_some_and(|leg| leg.size.x.max(leg.size.y) <= LEG_M)
 }
 
 fn belong_together(a: &OrientedBox3, b: &OrientedBox3, params: &DetectionParams) -> bool {

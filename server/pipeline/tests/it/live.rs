@@ -1,13 +1,15 @@
 //! What the newest frames see is in the way at once, and out of it again, though the robot stands and makes no keyframe.
 
+use crate::drive::empty;
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use percept_geometry::{
-    CameraIntrinsics, DepthImage, LaserScan, PointCloud, Pose, SensorData, SensorFrame, SensorKind, SensorSpec,
-    Timestamp, se3,
+    CameraIntrinsics, DepthImage, LaserScan, OrientedBox3, PointCloud, Pose, SensorData, SensorFrame, SensorKind,
+    SensorSpec, Timestamp, se3,
 };
 use percept_mapping::{LiveParams, Occupancy};
 use percept_pipeline::{Pipeline, PipelineParams, Snapshot};
-use percept_scene::{Object, ObjectState};
+use percept_scene::{Object, ObjectChange, ObjectChangeKind, ObjectState};
+use percept_sim::{MainSensor, Scenario, Simulation};
 use std::f64::consts::{PI, TAU};
 
 /// A room of 8 x 6 m around the origin; upright round pillars `(x, y, radius)` stand in it.
@@ -283,4 +285,29 @@ fn what_is_taken_away_before_a_robot_that_stands_is_gone_within_three_seconds() 
         robot.sees(&empty, (1.0 - (f64::from(i) * 0.05).cos()) * -0.75);
         assert!(!stands_at(&robot.pipeline.snapshot(), 2.5, 0.2), "{i}");
     }
+}
+
+#[test]
+fn nothing_that_stands_is_told_as_gone() {
+    // Shelves are open in front and chairs below: beams go through the middle of both.
+    let params = Scenario::Loops.params(MainSensor::Lidar3d, 4, 26.0, 1).unwrap();
+    let home = Simulation::new(params).unwrap();
+    let t_map_world = home.t_world_start().inverse();
+    let stands: Vec<OrientedBox3> =
+        home.objects_at(Timestamp::default()).iter().map(|o| o.bbox.transformed(&t_map_world)).collect();
+    let mut pipeline = empty(&home, PipelineParams::default());
+    let (mut gone, mut appeared) = (vec![], 0);
+    for frame in home.frames() {
+        let changes = pipeline.process(&frame.frame).unwrap().map.objects;
+        appeared += changes.iter().filter(|c| c.kind == ObjectChangeKind::Appeared).count();
+        let objects = pipeline.snapshot().objects;
+        let of = |c: &ObjectChange| objects.iter().find(|o| o.id == c.id).filter(|_| c.kind == ObjectChangeKind::Gone);
+        // Well seen, not a piece of something at the edge of what is looked at.
+        let is_there = |o: &&Object| stands.iter().any(|s| s.iou_upright(&o.bbox) > 0.5);
+        gone.extend(
+            changes.iter().filter_map(of).filter(is_there).map(|o| (frame.measured_s, o.class, o.bbox.center())),
+        );
+    }
+    assert!(appeared > 8, "{appeared}");
+    assert!(gone.is_empty(), "{gone:?}");
 }

@@ -14,8 +14,12 @@ const ALIKE: f32 = 3.0 * 1.225 * 0.002;
 /// So much of a block belongs to the surface, or it lies at an edge: then the pixel stays what it is.
 const LEAST_SHARE: f32 = 0.4;
 /// Of the pixels around one that lies between what is nearer and what is farther, so many are like it, or it is on neither: the sensor
-/// has mixed both. A wire has as few, and nothing nearer beside it. Of both sides there have to be a row's pixels.
-const ITS_OWN_SHARE: f32 = 0.3;
+/// has mixed both. A wire has as few, and nothing nearer beside it. Of both sides there has to be half a row: at edges many pixels
+/// have no return.
+const ITS_OWN_SHARE: f32 = 0.35;
+/// Two pixels on both sides of one that are farther from it than so many times [`ALIKE`] are a steep surface if those twice as far away
+/// go on as steeply, by half at least, and an edge otherwise, in whose middle the sensor has mixed both sides.
+const STEEP: f32 = 3.0;
 
 /// Rows and columns from one point that is kept to the next, of an image so many columns wide.
 fn stride(params: &KeyframeParams, width: usize) -> usize {
@@ -63,8 +67,14 @@ fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
         let (x, y) = (k % side, k / side);
         let (a, b) = (depth.at(u + x - reach, v + y - reach), depth.at(u + reach - x, v + reach - y));
         let mean = 0.5 * (1.0 / a + 1.0 / b);
+        let goes_on = || {
+            let (x, y) = (x as isize - reach as isize, y as isize - reach as isize);
+            (1.0 / a - here).abs() <= STEEP * ALIKE
+                || goes_on(depth, (u, v), (x, y), 1.0 / a - here)
+                || goes_on(depth, (u, v), (-x, -y), 1.0 / b - here)
+        };
         // Infinite where one has no return.
-        if (mean - here).abs() < ALIKE {
+        if (mean - here).abs() < ALIKE && goes_on() {
             (sum, num) = (sum + 2.0 * mean, num + 2.0);
         }
     }
@@ -75,6 +85,16 @@ fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
     } else {
         z
     }
+}
+
+/// Whether what is `off` the inverse depth of a pixel at some pixels beside it goes on to be so twice as far away.
+fn goes_on(depth: &DepthImage, (u, v): (usize, usize), (x, y): (isize, isize), off: f32) -> bool {
+    let at = u.checked_add_signed(2 * x).zip(v.checked_add_signed(2 * y));
+    let inside = at.filter(|(u, v)| *u < depth.width() && *v < depth.height());
+    inside.is_some_and(|(x, y)| {
+        let twice = 1.0 / depth.at(x, y) - 1.0 / depth.at(u, v);
+        twice.is_finite() && (1.5..2.5).contains(&(twice / off))
+    })
 }
 
 /// Whether a pixel at an edge floats between what stands before and what is behind it: of one that has a return, in an image that reaches
@@ -91,7 +111,7 @@ fn is_mixed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> bool {
             farther += usize::from(off <= -ALIKE);
         }
     }
-    (alike as f32) < ITS_OWN_SHARE * (side * side) as f32 && nearer >= side && farther >= side
+    (alike as f32) < ITS_OWN_SHARE * (side * side) as f32 && 2 * nearer >= side && 2 * farther >= side
 }
 
 #[cfg(test)]
@@ -168,6 +188,16 @@ mod tests {
         });
         assert!((5..15).all(|v| (smoothed(&here_and_there, (10, v), 0) == 0.0) == (v % 3 == 1)));
         assert!((5..15).all(|v| smoothed(&mixed, (9, v), 2) == 1.5 && smoothed(&mixed, (11, v), 2) == 3.0));
+        // A sensor that mixes both sides by halves, and loses every third pixel there; and a floor that is seen as flat as that is steep.
+        let lossy = image(|u, v| match u {
+            0..10 => 1.5,
+            10 => 2.0,
+            11 if v % 3 == 0 => 0.0,
+            _ => 3.0,
+        });
+        assert!((5..15).all(|v| smoothed(&lossy, (10, v), 1) == 0.0 && smoothed(&lossy, (10, v), 2) == 0.0));
+        let floor = image(|_, v| 1.0 / (0.1 + 0.03 * v as f32));
+        assert!((5..15).all(|v| (smoothed(&floor, (10, v), 1) - floor.at(10, v)).abs() < 1e-4));
         // At the rim of the image.
         assert_eq!(smoothed(&wire, (1, 10), 2), 3.0);
     }
