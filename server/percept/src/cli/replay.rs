@@ -185,6 +185,16 @@ fn finish(mut report: Report, wall_s: f64, recorded_s: f64, json: bool) -> Resul
     report.realtime_factor = (recorded_s > 0.0).then(|| recorded_s / wall_s.max(1e-9));
     report.peak_rss_mb = peak_rss_mb();
     report.print(json)?;
+    if report.tracked == 0 && report.frames > 1 {
+        let why = match report.sensor.as_str() {
+            "camera" => {
+                "a camera alone finds its way once it has moved sideways; if these are depth images, their encoding has to say so \
+                 (16UC1 or 32FC1)"
+            }
+            _ => "see what is in it by percept info, and what is wrong with a stream by percept doctor on a server",
+        };
+        return Err(format!("none of {} frames was placed: {why}", report.frames).into());
+    }
     // What a robot sees on its way lies on what it saw before, even if nothing tells how fast it went.
     if report.kind == "clouds" && !report.timed && report.frames > 1 && 2 * report.tracked < report.frames {
         return Err(format!(
