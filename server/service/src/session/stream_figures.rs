@@ -126,7 +126,7 @@ mod tests {
         for i in 0..200u32 {
             // A pause of a second long ago, one of 0.3 s just now; two seconds behind the server.
             let pause = if i < 20 { 0.0 } else { 1.0 } + if i < 180 { 0.0 } else { 0.2 };
-            let look = FrameLook { bytes: 1000, measured: Some(0.5), median_m: Some(2.0) };
+            let look = FrameLook { bytes: 1000, measured: Some(0.5), median_m: Some(2.0), digest: 0 };
             let stamp = Timestamp::from_secs_f64(0.1 * f64::from(i) + pause);
             recent.add(stamp, -2_000_000_000, Duration::from_millis(if i % 10 == 0 { 80 } else { 20 }), look);
         }

@@ -480,11 +480,12 @@ mod tests {
         assert!(millimetres.to_string().contains("metres_per_unit 0.001"), "{millimetres}");
         assert_eq!(with(|s| s.figures.measured_ratio = Some(0.01)), StreamTrouble::SeesLittle { ratio: 0.01 });
         assert_eq!(with(|s| s.figures.delay_s = Some(-2.5)), StreamTrouble::ClockAhead { ahead_s: 2.5 });
-        let unit = |rate_hz: f64| match with(|s| s.figures.rate_hz = Some(rate_hz)) {
-            StreamTrouble::StampUnit { unit, .. } => unit,
-            other => panic!("{other:?}"),
-        };
-        assert_eq!((unit(3e4), unit(1e7), unit(1e9)), ("microseconds", "milliseconds", "seconds"));
+        for (rate_hz, unit) in [(3e4, "microseconds"), (1e7, "milliseconds"), (1e9, "seconds")] {
+            let status = camera();
+            let figures = StreamFigures { rate_hz: Some(rate_hz), ..status.figures.clone() };
+            let trouble = only_trouble(&SensorStatus { figures, ..status });
+            assert_eq!(trouble, StreamTrouble::StampUnit { rate_hz, unit });
+        }
         let far = with(|s| s.declaration.spec.t_base_sensor.translation.vector.z = 1000.0);
         assert_eq!(far, StreamTrouble::MountFar { distance_m: 1000.0 });
         assert_eq!(with(|s| s.silent_s = Some(7.0)), StreamTrouble::Silent { silent_s: 7.0 });
