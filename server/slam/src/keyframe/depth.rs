@@ -59,22 +59,10 @@ fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
     if z <= 0.0 || u < around || v < around || u + around >= depth.width() || v + around >= depth.height() {
         return z;
     }
-    let here = 1.0 / z;
-    let (mut sum, mut num) = (here, 1.0f32);
-    // Half of the square: its pixels before the middle, row by row.
+    let (mut sum, mut num) = (1.0 / z, 1.0f32);
     let side = 2 * reach + 1;
-    for k in 0..side * side / 2 {
-        let (x, y) = (k % side, k / side);
-        let (a, b) = (depth.at(u + x - reach, v + y - reach), depth.at(u + reach - x, v + reach - y));
-        let mean = 0.5 * (1.0 / a + 1.0 / b);
-        let goes_on = || {
-            let (x, y) = (x as isize - reach as isize, y as isize - reach as isize);
-            (1.0 / a - here).abs() <= STEEP * ALIKE
-                || goes_on(depth, (u, v), (x, y), 1.0 / a - here)
-                || goes_on(depth, (u, v), (-x, -y), 1.0 / b - here)
-        };
-        // Infinite where one has no return.
-        if (mean - here).abs() < ALIKE && goes_on() {
+    for offset in offsets(reach) {
+        if let Some(mean) = between(depth, (u, v), offset) {
             (sum, num) = (sum + 2.0 * mean, num + 2.0);
         }
     }
@@ -87,25 +75,47 @@ fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
     }
 }
 
-/// Whether what is `off` the inverse depth of a pixel at some pixels beside it goes on to be so twice as far away.
-fn goes_on(depth: &DepthImage, (u, v): (usize, usize), (x, y): (isize, isize), off: f32) -> bool {
-    let at = u.checked_add_signed(2 * x).zip(v.checked_add_signed(2 * y));
-    let inside = at.filter(|(u, v)| *u < depth.width() && *v < depth.height());
-    inside.is_some_and(|(x, y)| {
-        let twice = 1.0 / depth.at(x, y) - 1.0 / depth.at(u, v);
-        twice.is_finite() && (1.5..2.5).contains(&(twice / off))
-    })
+/// Half of the square of pixels around one: those before it, row by row.
+fn offsets(reach: usize) -> impl Iterator<Item = (isize, isize)> {
+    let (reach, side) = (reach as isize, 2 * reach as isize + 1);
+    (0..side * side / 2).map(move |k| (k % side - reach, k / side - reach))
+}
+
+/// Inverse depth, offset by so many pixels; infinite without a return.
+fn inverse(depth: &DepthImage, (u, v): (usize, usize), (x, y): (isize, isize)) -> Option<f32> {
+    let at = u.checked_add_signed(x).zip(v.checked_add_signed(y));
+    let (x, y) = at.filter(|(u, v)| *u < depth.width() && *v < depth.height())?;
+    Some(1.0 / depth.at(x, y))
+}
+
+/// The mean of two pixels that lie opposite to each other, if they say as much of a surface as the pixel between them.
+fn between(depth: &DepthImage, at: (usize, usize), (x, y): (isize, isize)) -> Option<f32> {
+    let here = inverse(depth, at, (0, 0))?;
+    let (a, b) = (inverse(depth, at, (x, y))?, inverse(depth, at, (-x, -y))?);
+    let mean = 0.5 * (a + b);
+    // Whether what is off at one of them goes on to be so twice as far away.
+    let goes_on = |(x, y): (isize, isize), off: f32| {
+        let twice = inverse(depth, at, (2 * x, 2 * y)).map_or(f32::NAN, |far| (far - here) / off);
+        (1.5..2.5).contains(&twice)
+    };
+    let is_alike = (mean - here).abs() < ALIKE;
+    let is_flat = (a - here).abs() <= STEEP * ALIKE;
+    (is_alike && (is_flat || goes_on((x, y), a - here) || goes_on((-x, -y), b - here))).then_some(mean)
 }
 
 /// Whether a pixel at an edge floats between what stands before and what is behind it: of one that has a return, in an image that reaches
 /// so far around it.
-fn is_mixed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> bool {
-    let (here, side) = (1.0 / depth.at(u, v), 2 * reach + 1);
-    let (mut alike, mut nearer, mut farther) = (0, 0, 0);
-    for y in v - reach..=v + reach {
-        for x in u - reach..=u + reach {
-            let z = depth.at(x, y);
-            let off = if z > 0.0 { 1.0 / z - here } else { continue };
+fn is_mixed(depth: &DepthImage, at: (usize, usize), reach: usize) -> bool {
+    let side = 2 * reach + 1;
+    let (mut alike, mut nearer, mut farther) = (1, 0, 0);
+    for (x, y) in offsets(reach) {
+        if between(depth, at, (x, y)).is_some() {
+            alike += 2;
+            continue;
+        }
+        for offset in [(x, y), (-x, -y)] {
+            let off = |there: f32| there - 1.0 / depth.at(at.0, at.1);
+            let Some(off) = inverse(depth, at, offset).filter(|there| there.is_finite()).map(off) else { continue };
             alike += usize::from(off.abs() < ALIKE);
             nearer += usize::from(off >= ALIKE);
             farther += usize::from(off <= -ALIKE);
@@ -198,6 +208,7 @@ mod tests {
         assert!((5..15).all(|v| smoothed(&lossy, (10, v), 1) == 0.0 && smoothed(&lossy, (10, v), 2) == 0.0));
         let floor = image(|_, v| 1.0 / (0.1 + 0.03 * v as f32));
         assert!((5..15).all(|v| (smoothed(&floor, (10, v), 1) - floor.at(10, v)).abs() < 1e-4));
+        assert!((5..15).all(|v| smoothed(&floor, (10, v), 0) == floor.at(10, v)), "of few pixels, too");
         // At the rim of the image.
         assert_eq!(smoothed(&wire, (1, 10), 2), 3.0);
     }
