@@ -54,8 +54,8 @@ pub(super) fn depth_hits(params: &KeyframeParams, s: &DepthScan) -> PointCloud {
 /// between them, however the plane is inclined. Pairs that lie on something else, or on both sides of an edge, do not count.
 fn smoothed(depth: &DepthImage, (u, v): (usize, usize), reach: usize) -> f32 {
     let z = depth.at(u, v);
-    // Of an edge the pixels on both sides of it may be mixed: what is on either side lies beyond them.
-    let around = reach.max(2);
+    // Images of which every pixel is kept have a surface around each as well.
+    let around = reach.max(1);
     if z <= 0.0 || u < around || v < around || u + around >= depth.width() || v + around >= depth.height() {
         return z;
     }
