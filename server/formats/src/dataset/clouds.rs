@@ -133,6 +133,7 @@ fn dataset(name: String, kind: DatasetKind, files: Vec<PathBuf>, clock: Clock, o
         reference,
         relations: None,
         notes: vec![],
+        topics: vec![],
         is_timed: clock.is_timed,
         restamped: super::stamps::restamped(&clock.raw, &stamps),
         stamps: stamps.into(),

@@ -92,6 +92,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: source.map(|folder| format!("{folder}/data.csv")),
         relations: None,
         notes,
+        topics: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),

@@ -86,6 +86,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: source,
         relations: None,
         notes,
+        topics: vec![],
         is_timed,
         restamped: stamps::restamped(&raw, &rising),
         stamps: rising.into(),

@@ -41,6 +41,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference,
         relations: None,
         notes: vec![],
+        topics: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),

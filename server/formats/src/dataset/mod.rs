@@ -120,6 +120,8 @@ pub struct Dataset {
     pub relations: Option<Vec<Relation>>,
     /// What a person who replays it should know: what was taken, what was left, what had to be supposed.
     pub notes: Vec<String>,
+    /// Topics of a recording of ROS messages, those that are replayed first: name, type and number of messages, and what comes of it.
+    pub topics: Vec<String>,
     /// Whether the recording, or its format, says when the frames were taken. If not, they are a second apart.
     pub is_timed: bool,
     /// Stamps of the primary sensor's frames, strictly increasing.

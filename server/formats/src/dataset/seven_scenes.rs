@@ -62,6 +62,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: has_reference.then(|| "pose.txt".to_owned()),
         relations: None,
         notes: vec![],
+        topics: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),

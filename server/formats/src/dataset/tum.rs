@@ -45,6 +45,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         reference_source: truth_path.map(name),
         relations: None,
         notes: vec![],
+        topics: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),

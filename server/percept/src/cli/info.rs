@@ -33,6 +33,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
             "relations": recording.relations.as_ref().map(Vec::len),
             "sensors": sensors.collect::<Vec<_>>(),
             "notes": recording.notes,
+            "topics": recording.topics,
         });
         println!("{object}");
         return Ok(());
@@ -54,6 +55,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
     if recording.is_restamped() {
         println!("stamps      do not rise in the order of the frames; they are sorted");
     }
+    recording.topics.iter().for_each(|topic| println!("topic       {topic}"));
     recording.notes.iter().for_each(|note| println!("note        {note}"));
     Ok(())
 }

@@ -82,20 +82,7 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
         beside.extend(imu.samples.iter().cloned());
     }
     let beside = in_order(beside);
-    let told = |i: &usize| {
-        let t = &survey.topics[*i];
-        format!("{} ({}, {})", t.topic.name, t.topic.type_name, t.count)
-    };
-    let told = |of: &[usize]| of.iter().take(MOST_TOLD).map(told).collect::<Vec<_>>().join(", ");
-    notes.push(format!("taken: {}", told(&taken)));
-    let is_read_for_others = |c: &Content| matches!(c, Content::Transforms | Content::Calibration { .. });
-    let is_left = |(i, t): &(usize, &Recorded)| {
-        !taken.contains(i) && !t.topic.content.is_sensing() && !is_read_for_others(&t.topic.content)
-    };
-    let left: Vec<usize> = survey.topics.iter().enumerate().filter(is_left).map(|(i, _)| i).collect();
-    if !left.is_empty() {
-        notes.push(format!("of no use here: {}", told(&left)));
-    }
+    let topics = contents(&survey, &taken);
     for (i, t) in survey.topics.iter().enumerate() {
         if let Some(fault) = &t.fault {
             notes.push(format!(
@@ -134,10 +121,27 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
         is_timed: !stamps::are_useless(&stamps_as_recorded),
         restamped: stamps::restamped(&stamps_as_recorded, &rising),
         notes,
+        topics,
         stamps: rising.into(),
         beside: beside.into(),
         source: Arc::new(Loader::new(recording, recorded.clone(), primary, pictures, options.limits)),
     })
+}
+
+/// All topics in words, those that are taken first.
+fn contents(survey: &Survey, taken: &[usize]) -> Vec<String> {
+    let told = |i: usize| {
+        let Recorded { topic, count, .. } = &survey.topics[i];
+        let use_ = match &topic.content {
+            _ if taken.contains(&i) => format!("replayed as {}", topic.sensor_id()),
+            Content::Transforms => "mounts".to_owned(),
+            Content::Calibration { .. } => "calibration".to_owned(),
+            _ => "not replayed".to_owned(),
+        };
+        format!("{} ({}, {count}): {use_}", topic.name, topic.type_name)
+    };
+    let left = (0..survey.topics.len()).filter(|i| !taken.contains(i));
+    taken.iter().copied().chain(left).map(told).collect()
 }
 
 /// The topic that poses are found by.
