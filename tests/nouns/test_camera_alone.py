@@ -126,7 +126,7 @@ def test_an_image_of_another_size_and_a_stamp_from_the_past_are_refused_precisel
     session, poses = camera_session(client, images)
     with session.stream() as stream:
         stream.send_colour("eye", stamp_ns=world.stamp(STEPS), colour=images[0][:100])
-        stream.send_colour("eye", stamp_ns=world.stamp(3), colour=images[0])
+        stream.send_colour("eye", stamp_ns=world.stamp(3) + 1, colour=images[0])
     reasons = [ack.rejection.reason for ack in stream.summary.rejections]
     assert reasons == ["INTRINSICS_MISMATCH", "STAMP_NOT_INCREASING"]
     assert "320x100" in stream.summary.rejections[0].rejection.message

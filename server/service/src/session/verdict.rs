@@ -431,7 +431,7 @@ mod tests {
     use super::super::records::StateRecord;
     use super::*;
     use crate::{OverloadPolicy, SensorDeclaration};
-    use percept_geometry::{Pose, SensorId, SensorSpec};
+    use percept_geometry::{Pose, SensorId, SensorSpec, Timestamp};
 
     /// A camera that looks ahead, with a frame in.
     fn camera() -> SensorStatus {
@@ -480,10 +480,11 @@ mod tests {
         assert!(millimetres.to_string().contains("metres_per_unit 0.001"), "{millimetres}");
         assert_eq!(with(|s| s.figures.measured_ratio = Some(0.01)), StreamTrouble::SeesLittle { ratio: 0.01 });
         assert_eq!(with(|s| s.figures.delay_s = Some(-2.5)), StreamTrouble::ClockAhead { ahead_s: 2.5 });
-        for (rate_hz, unit) in [(3e4, "microseconds"), (1e7, "milliseconds"), (1e9, "seconds")] {
-            let status = camera();
+        let units = [(3e4, 17e14, "microseconds"), (1e7, 17e11, "milliseconds"), (1e9, 17e8, "seconds")];
+        for (rate_hz, stamp, unit) in units {
+            let (status, last_stamp) = (camera(), Some(Timestamp::from_nanos(stamp as i64)));
             let figures = StreamFigures { rate_hz: Some(rate_hz), ..status.figures.clone() };
-            let trouble = only_trouble(&SensorStatus { figures, ..status });
+            let trouble = only_trouble(&SensorStatus { figures, last_stamp, ..status });
             assert_eq!(trouble, StreamTrouble::StampUnit { rate_hz, unit });
         }
         let far = with(|s| s.declaration.spec.t_base_sensor.translation.vector.z = 1000.0);
