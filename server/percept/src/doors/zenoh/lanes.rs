@@ -2,6 +2,8 @@
 
 use super::{BACKLOG, charged, hand_over};
 use crate::doors::bounds::{Charge, Memory, Peer};
+use futures::StreamExt;
+use futures::stream::FuturesOrdered;
 use percept_service::check_id;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -12,6 +14,8 @@ use zenoh::sample::Sample;
 
 /// Lanes at most; sessions beyond share one.
 const MAX_LANES: usize = 256;
+/// Samples of a lane that are decoded beside each other: while one is, the next is put together.
+const AHEAD: usize = 2;
 /// A lane on which nothing came for so long is closed.
 const IDLE: Duration = Duration::from_secs(30);
 
@@ -20,21 +24,25 @@ type Item = (Sample, Charge);
 type Open = Mutex<BTreeMap<String, mpsc::Sender<Item>>>;
 
 /// Samples by session, each lane in the order of arrival.
-pub(super) struct Lanes<F> {
+pub(super) struct Lanes<D, G> {
     open: Arc<Open>,
-    take: F,
+    decode: D,
+    give: G,
     memory: Arc<Memory>,
     runtime: tokio::runtime::Handle,
 }
 
-impl<F, T> Lanes<F>
+impl<D, G, P, F, T> Lanes<D, G>
 where
-    F: Fn(Sample, Charge) -> T + Clone + Send + 'static,
+    D: Fn(Sample, Charge) -> P + Clone + Send + Sync + 'static,
+    G: Fn(F) -> T + Clone + Send + Sync + 'static,
+    P: Future<Output = F> + Send + 'static,
+    F: Send + 'static,
     T: Future<Output = ()> + Send + 'static,
 {
-    /// Lanes that give samples to `take`, one after the other.
-    pub(super) fn new(memory: Arc<Memory>, take: F) -> Self {
-        Self { open: Arc::default(), take, memory, runtime: tokio::runtime::Handle::current() }
+    /// Lanes that `decode` samples, a few beside each other, and `give` on what came of them, one after the other.
+    pub(super) fn new(memory: Arc<Memory>, decode: D, give: G) -> Self {
+        Self { open: Arc::default(), decode, give, memory, runtime: tokio::runtime::Handle::current() }
     }
 
     /// Puts a sample on its session's lane; waits, and so holds the sender, while that is full or has all memory that one
@@ -59,27 +67,45 @@ where
         }
         let (lane, samples) = mpsc::channel(BACKLOG);
         open.insert(name.to_owned(), lane.clone());
-        self.runtime.spawn(run(Arc::clone(&self.open), name.to_owned(), samples, self.take.clone()));
+        self.runtime.spawn(run(
+            Arc::clone(&self.open),
+            name.to_owned(),
+            samples,
+            self.decode.clone(),
+            self.give.clone(),
+        ));
         lane
     }
 }
 
-async fn run<T: Future<Output = ()>>(
+async fn run<F, P: Future<Output = F>, T: Future<Output = ()>>(
     open: Arc<Open>,
     name: String,
     mut samples: mpsc::Receiver<Item>,
-    take: impl Fn(Sample, Charge) -> T,
+    decode: impl Fn(Sample, Charge) -> P,
+    give: impl Fn(F) -> T,
 ) {
-    while let Ok(Some((sample, memory))) = tokio::time::timeout(IDLE, samples.recv()).await {
-        take(sample, memory).await;
+    let mut decoding = FuturesOrdered::new();
+    loop {
+        tokio::select! {
+            biased;
+            Some(decoded) = decoding.next() => give(decoded).await,
+            item = tokio::time::timeout(IDLE, samples.recv()), if decoding.len() < AHEAD => match item {
+                Ok(Some((sample, memory))) => decoding.push_back(decode(sample, memory)),
+                _ => break,
+            },
+        }
     }
     {
         let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
         samples.close();
         open.remove(&name);
     }
+    while let Some(decoded) = decoding.next().await {
+        give(decoded).await;
+    }
     // What came in between.
     while let Some((sample, memory)) = samples.recv().await {
-        take(sample, memory).await;
+        give(decode(sample, memory).await).await;
     }
 }

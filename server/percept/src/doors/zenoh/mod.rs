@@ -225,10 +225,11 @@ impl ZenohDoor {
     /// Serves until the server stops, or until what the session was opened with has changed: true.
     async fn serve_once(&mut self, api: &Api) -> Result<bool, Failure> {
         let publishers = Arc::new(publish::Publishers::new(self.session.clone()));
-        let lanes = lanes::Lanes::new(Arc::clone(&api.bounds.memory), {
-            let names = self.names.clone();
-            move |sample, memory| take(names.clone(), Arc::clone(&publishers), sample, memory)
-        });
+        let names = self.names.clone();
+        let decode = move |sample, memory| decode(names.clone(), sample, memory);
+        let names = self.names.clone();
+        let give = move |decoded| give(names.clone(), Arc::clone(&publishers), decoded);
+        let lanes = lanes::Lanes::new(Arc::clone(&api.bounds.memory), decode, give);
         let frames = format!("{ROOT}/*/*/frame");
         let subscriber = self.session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
         let queries = query::serve(&self.session, self.names.clone()).await?;
@@ -277,12 +278,24 @@ async fn tell_counts(api: &Api) {
     }
 }
 
-/// Decodes a sample and hands it on; its memory is given back when it is taken.
-async fn take(names: Names, publishers: Arc<publish::Publishers>, sample: Sample, memory: Charge) {
+/// What came of a sample.
+struct Decoded {
+    key: String,
+    frame: Result<(Caller, IncomingFrame), Error>,
+    /// Given back when the frame is taken.
+    memory: Charge,
+}
+
+async fn decode(names: Names, sample: Sample, memory: Charge) -> Decoded {
     let key = sample.key_expr().as_str().to_owned();
-    let decoded = decode(&names, &key, &sample).await;
-    drop(sample);
-    let taken = match decoded {
+    let frame = frame_of(&names, &key, sample).await;
+    Decoded { key, frame, memory }
+}
+
+/// Hands on what came of a sample.
+async fn give(names: Names, publishers: Arc<publish::Publishers>, decoded: Decoded) {
+    let Decoded { key, frame, memory } = decoded;
+    let taken = match frame {
         Ok((caller, incoming)) => {
             publishers.watch(&caller, &incoming.session).await;
             caller.offer_frame(incoming).await
@@ -300,11 +313,13 @@ async fn take(names: Names, publishers: Arc<publish::Publishers>, sample: Sample
     drop(memory);
 }
 
-async fn decode(names: &Names, key: &str, sample: &Sample) -> Result<(Caller, IncomingFrame), Error> {
+async fn frame_of(names: &Names, key: &str, sample: Sample) -> Result<(Caller, IncomingFrame), Error> {
     let mut chunks = key.split('/').skip(1);
     let (session, sensor) = (chunks.next().unwrap_or_default(), chunks.next().unwrap_or_default());
     let caller = names.sender(session)?;
-    match message_of(&names.api, session, sensor, sample) {
+    let message = message_of(&names.api, session, sensor, &sample);
+    drop(sample);
+    match message {
         Ok(message) => {
             let incoming = ingest::decode_at_once(&caller, "SensorsService/SendFrame", message).await?;
             Ok((caller, incoming))
@@ -322,7 +337,9 @@ fn message_of(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result
         let words = format!("message has {size} bytes, the limit is {limit}; send less at a time, or downsample");
         return Err(Error::exhausted(reason::MESSAGE_TOO_LARGE, "", words));
     }
-    let bytes = bytes::Bytes::copy_from_slice(&sample.payload().to_bytes());
+    // What comes in pieces is put together once. What lies in one is copied all the same: in shared memory its sender could
+    // still write to it.
+    let bytes = bytes::Bytes::from(sample.payload().to_bytes().into_owned());
     percept_wire::expansion::check(&v1::SensorMessage::full_name(), &bytes)?;
     let mut message = v1::SensorMessage::decode(bytes)
         .map_err(|e| Error::invalid(reason::MESSAGE_INVALID, "", format!("payload is no SensorMessage: {e}")))?;
