@@ -252,6 +252,12 @@ impl<'a> Looked<'a> {
         let in_base = |p: Point2<f64>| Point3::new((p.x - at.x) as f32, (p.y - at.y) as f32, height as f32);
         let hits = seen.walls.iter().map(|c| in_base(self.geometry.center(*c))).collect();
         let misses = seen.open.iter().map(|p| Point3::new(p.x, p.y, height)).collect();
-        view(Point3::new(at.x, at.y, 0.0), options, true, (PointCloud::from_positions(hits), misses))
+        view(
+            Point3::new(at.x, at.y, 0.0),
+            options,
+            super::GIVEN_SENSOR,
+            true,
+            (PointCloud::from_positions(hits), misses),
+        )
     }
 }

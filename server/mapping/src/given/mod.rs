@@ -6,12 +6,15 @@
 
 mod grid;
 mod lattice;
+mod look;
+mod rest;
 mod space;
 #[cfg(test)]
 mod tests;
 
 pub use grid::views_of_grid;
-pub use space::{GivenSpace, views_of_space};
+pub use look::views_of_space;
+pub use space::GivenSpace;
 
 use nalgebra::Point3;
 use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
@@ -19,8 +22,17 @@ use percept_geometry::{KeyframeScan, PointCloud, Pose, SensorId, Timestamp};
 /// The sensor that is said to have seen what was given. No sensor can be declared by this name: a colon stands in none.
 pub const GIVEN_SENSOR: &str = "map:given";
 
+/// The same, of what is added so that the map is all that was given: seen from where no robot is, by no pattern of a sensor. Nobody is
+/// found by it.
+pub const GIVEN_REST_SENSOR: &str = "map:given:rest";
+
 /// Whether a keyframe of this sensor is a view of a map that was given.
 pub fn is_given(sensor: &SensorId) -> bool {
+    is_recognised(sensor) || sensor.0 == GIVEN_REST_SENSOR
+}
+
+/// Whether a robot may be found by a keyframe of this sensor, which is a view of a map that was given.
+pub fn is_recognised(sensor: &SensorId) -> bool {
     sensor.0 == GIVEN_SENSOR
 }
 
@@ -57,6 +69,7 @@ pub struct GivenViews {
 fn view(
     at: Point3<f64>,
     options: &GivenOptions,
+    sensor: &str,
     planar: bool,
     (hits, misses): (PointCloud, Vec<Point3<f64>>),
 ) -> GivenView {
@@ -64,7 +77,7 @@ fn view(
     let in_base = |p: &Point3<f64>| Point3::from(p - at).cast::<f32>();
     let scan = KeyframeScan {
         stamp: Timestamp::default(),
-        sensor: SensorId(GIVEN_SENSOR.to_owned()),
+        sensor: SensorId(sensor.to_owned()),
         t_base_sensor: Pose::translation(0.0, 0.0, options.sensor_height_m),
         base_height_m: 0.0,
         hits,

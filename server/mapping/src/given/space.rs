@@ -1,26 +1,20 @@
-//! Occupied space, as points or voxels, as a lidar in space sees it.
+//! Occupied space, as points or voxels: its ground, places on it, and beams through it.
 
+use super::GivenOptions;
 use super::lattice::best_of_squares;
-use super::{GivenOptions, GivenView, GivenViews, view};
 use crate::MappingError;
-use crate::blocks::{BlockKey, locate};
+use crate::blocks::{BLOCK, BlockKey, locate};
 use nalgebra::{Point3, Vector3};
 use percept_geometry::{Cell, PointCloud, Voxel};
-use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 
 /// So many views stand along the range of one: what is seen from a place is seen from several, and a robot that is there is within a
 /// square of one of them. Squares have edges between these, metres.
 const VIEWS_A_RANGE: f64 = 8.0;
 const SQUARE_M: (f64, f64) = (2.0, 5.0);
 /// Squares are larger where there would be more views.
-const MOST_VIEWS: usize = 1_000;
-/// Beams of a view: rings between these elevations, and azimuths. As a lidar of 64 rings that looks all around.
-const RINGS: usize = 64;
-const ELEVATION_RAD: (f64, f64) = (-0.8, 0.8);
-const AZIMUTHS: usize = 720;
+pub(super) const MOST_VIEWS: usize = 1_000;
 /// What stands over the ground lower than this leaves no room for a robot, metres.
 const HEADROOM_M: f64 = 1.2;
 /// Ground hangs together over steps up to this, metres: a kerb, a stair.
@@ -33,16 +27,16 @@ const LARGE: f64 = 0.2;
 /// Occupied space.
 #[derive(Debug, Clone)]
 pub struct GivenSpace {
-    voxel_m: f64,
+    pub(super) voxel_m: f64,
     /// Points of each voxel, by their numbers in `points`.
-    occupied: FxHashMap<Voxel, Vec<u32>>,
-    points: PointCloud,
-    open: Open,
+    pub(super) occupied: FxHashMap<Voxel, Vec<u32>>,
+    pub(super) points: PointCloud,
+    pub(super) open: Open,
 }
 
 /// What is seen through, a bit a voxel: a beam asks for hundreds of voxels, many in one block.
 #[derive(Debug, Clone)]
-enum Open {
+pub(super) enum Open {
     /// Whatever is not among these, which are occupied.
     AllBut(FxHashMap<BlockKey, Bits>),
     /// These, which are known to be free.
@@ -50,7 +44,9 @@ enum Open {
 }
 
 /// Voxels of a block.
-type Bits = [u64; 8];
+pub(super) type Bits = [u64; 8];
+/// Heights of the ground, voxels.
+pub(super) type Ground = FxHashMap<Cell, i32>;
 
 impl Open {
     fn block(&self, key: BlockKey) -> Option<&Bits> {
@@ -105,19 +101,30 @@ impl GivenSpace {
         Ok(Self { open: Open::Only(blocks_of(free)), ..Self::of_points(PointCloud::from_positions(centers), voxel_m)? })
     }
 
-    fn is_occupied(&self, voxel: Voxel) -> bool {
-        self.occupied.contains_key(&voxel)
+    /// Voxels known to be free; none if all are that are not occupied.
+    pub(super) fn free(&self) -> impl Iterator<Item = Voxel> {
+        let blocks = match &self.open {
+            Open::Only(blocks) => Some(blocks),
+            Open::AllBut(_) => None,
+        };
+        let of_block = |((x, y, z), bits): (&BlockKey, &Bits)| {
+            let (low, bits) = ((x * BLOCK, y * BLOCK, z * BLOCK), *bits);
+            let is_set = move |slot: &i32| bits[*slot as usize / 64] >> (slot % 64) & 1 == 1;
+            (0..BLOCK.pow(3)).filter(is_set).map(move |slot| {
+                Voxel::new(low.0 + slot % BLOCK, low.1 + slot / BLOCK % BLOCK, low.2 + slot / (BLOCK * BLOCK))
+            })
+        };
+        blocks.into_iter().flatten().flat_map(of_block)
     }
 
-    fn is_open(&self, voxel: Voxel) -> bool {
+    pub(super) fn is_open(&self, voxel: Voxel) -> bool {
         let (block, slot) = locate(voxel);
         self.open.is_open(self.open.block(block), slot)
     }
 
-    /// Places to look from: the sensor's height above the ground; with the height of the ground.
-    fn places(&self, options: &GivenOptions) -> Vec<(Voxel, f64)> {
-        let up = ((options.sensor_height_m / self.voxel_m).round() as i32).max(1);
-        let ground = self.ground(options.sensor_height_m, up);
+    /// Places to look from: the sensor's height above the ground.
+    pub(super) fn places(&self, ground: &Ground, options: &GivenOptions) -> Vec<Voxel> {
+        let up = self.up(options);
         let mut ranked: Vec<(Cell, f32)> = ground.iter().map(|(c, z)| (*c, self.room_around(*c, *z + up))).collect();
         ranked.sort_by_key(|(c, _)| *c);
         let (nearest, farthest) = SQUARE_M;
@@ -128,14 +135,19 @@ impl GivenSpace {
             edge = edge.saturating_mul(5) / 4 + 1;
             best = best_of_squares(ranked.iter().copied(), edge);
         }
-        let place = |c: &Cell| ground.get(c).map(|z| (Voxel::new(c.x, c.y, z + up), f64::from(z + 1) * self.voxel_m));
-        best.iter().filter_map(place).collect()
+        best.iter().filter_map(|c| ground.get(c).map(|z| Voxel::new(c.x, c.y, z + up))).collect()
+    }
+
+    /// The sensor's height above the ground, voxels.
+    fn up(&self, options: &GivenOptions) -> i32 {
+        ((options.sensor_height_m / self.voxel_m).round() as i32).max(1)
     }
 
     /// Heights of what a robot can stand on: surfaces with room above that hang together. Of large ones over each other it is the
     /// lower: roofs, and ceilings without a roof, have room above, too. Tops of tables are too small.
-    fn ground(&self, sensor_height_m: f64, up: i32) -> FxHashMap<Cell, i32> {
-        let room = (HEADROOM_M.max(sensor_height_m + self.voxel_m) / self.voxel_m).ceil() as i32;
+    pub(super) fn ground(&self, options: &GivenOptions) -> Ground {
+        let up = self.up(options);
+        let room = (HEADROOM_M.max(options.sensor_height_m + self.voxel_m) / self.voxel_m).ceil() as i32;
         let mut columns: BTreeMap<Cell, Vec<i32>> = BTreeMap::new();
         self.occupied.keys().for_each(|v| columns.entry(Cell::new(v.x, v.y)).or_default().push(v.z));
         for (cell, heights) in &mut columns {
@@ -176,7 +188,7 @@ impl GivenSpace {
             true => (0, height(p), p.first().copied()),
             false => (1, -(p.len() as i64), p.first().copied()),
         });
-        let mut ground: FxHashMap<Cell, i32> = FxHashMap::default();
+        let mut ground = Ground::default();
         for (k, part) in parts.iter().enumerate() {
             let over = part.iter().filter(|(c, _)| ground.contains_key(c)).count();
             if k == 0 || (part.len() >= least && 5 * over < part.len()) {
@@ -194,40 +206,14 @@ impl GivenSpace {
         (1..=16).take_while(reach).count() as f32
     }
 
-    fn look_from(&self, (from, ground_z): (Voxel, f64), options: &GivenOptions) -> (GivenView, Vec<u32>) {
-        let eye = from.center(self.voxel_m) + Vector3::new(0.13, 0.07, 0.03) * self.voxel_m;
-        let (mut seen, mut misses) = (vec![], vec![]);
-        let mut voxels = FxHashSet::default();
-        for ring in 0..RINGS {
-            let share = (ring as f64 + 0.5) / RINGS as f64;
-            let elevation = ELEVATION_RAD.0 + (ELEVATION_RAD.1 - ELEVATION_RAD.0) * share;
-            for k in 0..AZIMUTHS {
-                let azimuth = (k as f64 + 0.5) / AZIMUTHS as f64 * TAU;
-                let (level, rise) = (elevation.cos(), elevation.sin());
-                let direction = Vector3::new(azimuth.cos() * level, azimuth.sin() * level, rise);
-                match self.cast(&eye, &direction, options.range_max_m) {
-                    Beam::Ends(voxel) if voxels.insert(voxel) => {
-                        seen.extend(self.occupied.get(&voxel).into_iter().flatten().copied());
-                    }
-                    Beam::Open if matches!(self.open, Open::Only(_)) => {
-                        misses.push(eye + direction * options.range_max_m)
-                    }
-                    _ => {}
-                }
-            }
-        }
-        seen.sort_unstable();
-        let base = Point3::new(eye.x, eye.y, ground_z);
-        let in_base = |p: &Point3<f32>| Point3::from(p.cast::<f64>() - base).cast::<f32>();
-        let index: Vec<usize> = seen.iter().map(|k| *k as usize).collect();
-        let mut hits = self.points.select(&index);
-        hits.positions.iter_mut().for_each(|p| *p = in_base(p));
-        let options = GivenOptions { sensor_height_m: eye.z - ground_z, ..*options };
-        (view(base, &options, false, (hits, misses)), seen)
-    }
-
-    /// The first voxel that is occupied, going from voxel to voxel (Amanatides and Woo 1987).
-    fn cast(&self, eye: &Point3<f64>, direction: &Vector3<f64>, range_m: f64) -> Beam {
+    /// Goes along a beam from voxel to voxel (Amanatides and Woo 1987), and tells of those that are open.
+    pub(super) fn walk(
+        &self,
+        eye: &Point3<f64>,
+        direction: &Vector3<f64>,
+        range_m: f64,
+        mut passed: impl FnMut(BlockKey, u16),
+    ) -> Beam {
         let Some(mut at) = Voxel::containing(eye, self.voxel_m) else { return Beam::Lost };
         let axis = |p: f64, d: f64, cell: i32| {
             if d == 0.0 {
@@ -241,8 +227,11 @@ impl GivenSpace {
         let (mut tz, dz) = axis(eye.z, direction.z, at.z);
         let step = |d: f64| if d > 0.0 { 1 } else { -1 };
         let (sx, sy, sz) = (step(direction.x), step(direction.y), step(direction.z));
-        let (mut in_block, _) = locate(at);
+        let (mut in_block, slot) = locate(at);
         let mut block = self.open.block(in_block);
+        if self.open.is_open(block, slot) {
+            passed(in_block, slot);
+        }
         loop {
             if tx.min(ty).min(tz) > range_m {
                 return Beam::Open;
@@ -259,35 +248,19 @@ impl GivenSpace {
                 (in_block, block) = (key, self.open.block(key));
             }
             if !self.open.is_open(block, slot) {
-                return if self.is_occupied(at) { Beam::Ends(at) } else { Beam::Lost };
+                return if self.occupied.contains_key(&at) { Beam::Ends(at) } else { Beam::Lost };
             }
+            passed(key, slot);
         }
     }
 }
 
 /// What becomes of a beam.
-enum Beam {
+pub(super) enum Beam {
     /// It meets something here.
     Ends(Voxel),
     /// It meets nothing within the range.
     Open,
     /// It comes to where nothing is known.
     Lost,
-}
-
-/// Views of occupied space by a lidar in space, level, over the ground: what of it is seen from there, point by point.
-///
-/// # Errors
-/// `NothingFree` if there is no room over any ground: there is no place to look from.
-pub fn views_of_space(space: &GivenSpace, options: &GivenOptions) -> Result<GivenViews, MappingError> {
-    let places = space.places(options);
-    if places.is_empty() {
-        return Err(MappingError::NothingFree);
-    }
-    let looked: Vec<(GivenView, Vec<u32>)> = places.par_iter().map(|place| space.look_from(*place, options)).collect();
-    let mut is_seen = vec![false; space.points.len()];
-    looked.iter().flat_map(|(_, seen)| seen).for_each(|k| is_seen[*k as usize] = true);
-    let share = is_seen.iter().filter(|s| **s).count() as f64 / is_seen.len().max(1) as f64;
-    let views = looked.into_iter().map(|(view, _)| view).filter(|v| !v.scan.hits.is_empty()).collect();
-    Ok(GivenViews { views, occupied_share: share, free_share: 1.0 })
 }

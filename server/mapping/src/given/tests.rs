@@ -1,9 +1,11 @@
 //! Maps that are given and looked at show what was in them.
 
 use super::*;
-use crate::{DenseGrid, Map, MapEntry, MapParams, MappingError, Occupancy};
+use crate::voxels::{VoxelReader, VoxelState};
+use crate::{DenseGrid, Map, MapEntry, MapParams, MappingError, Occupancy, VoxelParams};
 use nalgebra::Point2;
 use percept_geometry::{Cell, GridGeometry, KeyframeId, Voxel};
+use std::cell::RefCell;
 use std::sync::Arc;
 
 const OPTIONS: GivenOptions = GivenOptions { range_max_m: 10.0, sensor_height_m: 0.3 };
@@ -26,6 +28,10 @@ fn two_rooms() -> DenseGrid {
 fn map_of(views: &GivenViews, resolution_m: f64) -> Map {
     let mut params = MapParams::default();
     params.occupancy.resolution_m = resolution_m;
+    map_with(views, params)
+}
+
+fn map_with(views: &GivenViews, params: MapParams) -> Map {
     let mut map = Map::new(params).unwrap();
     for (k, v) in views.views.iter().enumerate() {
         let entry = MapEntry { t_map_base: v.t_map_base, t_odom_base: v.t_map_base, after_gap: false };
@@ -155,6 +161,65 @@ fn voxels_say_what_is_free_and_beams_end_where_nothing_is_known() {
     let far =
         |v: &GivenView| v.scan.hits.positions.iter().all(|p| f64::from(p.x) + v.t_map_base.translation.vector.x < 4.1);
     assert!(views.views.iter().all(far));
+}
+
+/// Two rooms of 4 x 5 x 2.4 m of voxels of an edge with a door between them: a table, a box under it, a shelf that is open to the front.
+fn furnished(edge: f64) -> (Vec<Voxel>, Vec<Voxel>) {
+    let n = |m: f64| (m / edge).round() as i32;
+    let is_in = |v: (i32, i32, i32), low: [f64; 3], high: [f64; 3]| {
+        (n(low[0])..n(high[0])).contains(&v.0)
+            && (n(low[1])..n(high[1])).contains(&v.1)
+            && (n(low[2])..n(high[2])).contains(&v.2)
+    };
+    let (mut occupied, mut free) = (vec![], vec![]);
+    for x in -1..=n(8.0) {
+        for y in -1..=n(5.0) {
+            for z in -1..=n(2.4) {
+                let is_shell = x < 0 || y < 0 || z < 0 || x >= n(8.0) || y >= n(5.0) || z >= n(2.4);
+                let at = (x, y, z);
+                let is_wall =
+                    is_in(at, [3.9, 0.0, 0.0], [4.1, 5.0, 2.4]) && !is_in(at, [3.9, 2.0, 0.0], [4.1, 3.0, 2.0]);
+                let is_table = is_in(at, [1.0, 1.0, 0.7], [2.4, 1.8, 0.8]);
+                let is_box = is_in(at, [1.2, 1.2, 0.0], [1.6, 1.6, 0.4]);
+                let is_shelf = is_in(at, [6.0, 4.4, 0.0], [7.2, 5.0, 1.8])
+                    && !is_in(at, [6.2, 4.3, 0.2], [7.0, 4.8, 0.8])
+                    && !is_in(at, [6.2, 4.3, 1.0], [7.0, 4.8, 1.6]);
+                let is_occupied = is_shell || is_wall || is_table || is_box || is_shelf;
+                (if is_occupied { &mut occupied } else { &mut free }).push(Voxel::new(x, y, z));
+            }
+        }
+    }
+    (occupied, free)
+}
+
+#[test]
+fn voxels_come_back_as_they_were_given() {
+    for edge in [0.1, 0.2] {
+        let (occupied, free) = furnished(edge);
+        let space = GivenSpace::of_voxels(&occupied, free.iter().copied(), edge).unwrap();
+        let views = views_of_space(&space, &GivenOptions { sensor_height_m: 1.0, ..OPTIONS }).unwrap();
+        let voxels = VoxelParams { enabled: true, voxel_size_m: edge, ..VoxelParams::default() };
+        let params = MapParams { voxels, ..MapParams::default() };
+        let layers = map_with(&views, params).layers();
+        let reader = RefCell::new(VoxelReader::new(&layers.voxels));
+        let state = |v: &Voxel| reader.borrow_mut().state(*v);
+        let wrong = (occupied.iter().filter(|v| state(v) == VoxelState::Free))
+            .chain(free.iter().filter(|v| state(v) == VoxelState::Occupied));
+        assert_eq!(wrong.count(), 0, "edge {edge}");
+        let count = |of: &[Voxel], s: VoxelState| of.iter().filter(|v| state(v) == s).count();
+        let (num_free, num_occupied) = (count(&free, VoxelState::Free), count(&occupied, VoxelState::Occupied));
+        // Base is told in single precision: a beam through a corner may take the other way around it.
+        assert!(num_free as f64 > 0.999 * free.len() as f64, "edge {edge}: {num_free} of {}", free.len());
+        assert!((views.free_share - num_free as f64 / free.len() as f64).abs() < 1e-3, "{}", views.free_share);
+        // What is inside of something thick is seen from nowhere.
+        let is_bare = |v: &&Voxel| {
+            let beside = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)];
+            beside.iter().any(|(x, y, z)| space.is_open(Voxel::new(v.x + x, v.y + y, v.z + z)))
+        };
+        let num_bare = occupied.iter().filter(is_bare).count();
+        assert!(num_occupied as f64 > 0.98 * num_bare as f64, "edge {edge}: {num_occupied} of {num_bare}");
+        assert!((views.occupied_share - num_occupied as f64 / occupied.len() as f64).abs() < 1e-3);
+    }
 }
 
 #[test]

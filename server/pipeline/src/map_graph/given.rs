@@ -5,7 +5,7 @@
 use super::MapGraph;
 use crate::{KeyframeInfo, NewKeyframe};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, SensorId};
-use percept_mapping::given::{GivenView, is_given};
+use percept_mapping::given::{GivenView, is_given, is_recognised};
 use percept_slam::{BackEndKeyframe, OdometryKind};
 use std::sync::Arc;
 
@@ -81,5 +81,5 @@ pub(super) fn is_seen_alike(kind: OdometryKind, sensor: &SensorId, scan: &Keyfra
         OdometryKind::Lidar3d => !scan.planar,
         OdometryKind::Rgbd | OdometryKind::Mono => false,
     };
-    is_given(sensor) && is_alike
+    is_recognised(sensor) && is_alike
 }
