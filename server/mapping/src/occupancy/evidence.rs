@@ -48,6 +48,7 @@ impl Evidence {
             Mark::Unseen => return,
             Mark::Driven(heights) => return self.add_driven(heights, params),
             Mark::Over(heights) => {
+                let heights = heights.sure();
                 self.add_passes(heights);
                 if self.log_odds.is_nan() || !self.standing.meet(heights) {
                     return;
@@ -55,6 +56,7 @@ impl Evidence {
                 (before + params.free_log_odds, params.free_log_odds)
             }
             Mark::Free(heights) => {
+                let heights = heights.sure();
                 self.passed = self.passed.joined(heights);
                 if planar {
                     self.planar_passes = (self.planar_passes + 1).min(2);

@@ -91,6 +91,16 @@ impl Heights {
         Self(self.0 & other.0)
     }
 
+    /// Those of them at which beams surely passed. Where beams are dense they pass just below a board, and above it, as near as they
+    /// can: within the bit in which it begins. So the ends of a run of three bits or more do not count; the band's ends do.
+    pub(super) fn sure(self) -> Self {
+        let (below, above) = (self.0 << 1 | 1, self.0 >> 1 | 1 << 63);
+        let middle = self.0 & below & above;
+        // Single beams stand alone, or are as wide as two bits.
+        let dense = middle | middle << 1 | middle >> 1;
+        Self(middle | self.0 & !dense)
+    }
+
     /// As bits, the lowest height first.
     pub(super) fn bits(self) -> u64 {
         self.0
@@ -103,5 +113,23 @@ impl Heights {
     /// Whether they share a height.
     pub(super) fn meet(self, other: Self) -> bool {
         self.0 & other.0 != 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ends_of_what_passed_densely_do_not_count() {
+        let sure = |bits: u64| Heights(bits).sure().bits();
+        assert_eq!(sure(0b1111 << 20), 0b0110 << 20);
+        assert_eq!(sure(0b111 << 20), 0b010 << 20);
+        // A beam by itself.
+        assert_eq!(sure(0b11 << 20 | 1 << 30), 0b11 << 20 | 1 << 30);
+        // Nothing is below the band, nor above it.
+        assert_eq!(sure(0b111), 0b011);
+        assert_eq!(sure(u64::MAX), u64::MAX);
+        assert_eq!(sure(0b111 << 61), 0b11 << 62);
     }
 }
