@@ -3,7 +3,7 @@
 use super::sides::Sides;
 use super::{DetectionParams, Structure};
 use crate::cloud::{DbscanParams, dbscan, upright_box_along, upright_box_trimmed};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
 use percept_geometry::shapes::convex_intersection_area;
 use percept_geometry::{GeometryError, OrientedBox3};
 
@@ -16,6 +16,9 @@ const MAX_GAP_M: f64 = 0.5;
 const MOST_LARGER: f64 = 1.25;
 /// A leg as it is seen, metres: four to ten centimetres as they are made, and a voxel or two of noise.
 const LEG_M: f64 = 0.2;
+/// Tables have so many at most; these stand at the edge of the top, or so far in, metres.
+const TABLE_LEGS: usize = 4;
+const LEG_INSIDE_M: f64 = 0.25;
 /// What lies lower than this share of the height is leg.
 const LEG_SHARE: f64 = 0.75;
 /// Tables are so high, metres: three deviations of [`super::GaussianClassifier`]'s model.
@@ -113,37 +116,82 @@ fn mend(parts: &mut Vec<Part>, params: &DetectionParams) {
     }
 }
 
-/// Puts the pieces of tables together: who looks from below a top sees legs, with pieces of the edge above them, and nothing between.
+/// A piece of what stands on legs, and where these stand.
+struct OnLegs {
+    part: Part,
+    legs: Vec<Point2<f64>>,
+}
+
+/// Puts the pieces of tables together: who looks from below a top sees legs, with pieces of the edge above them, and little between.
+/// Together they have four legs at most, at the edges of the whole: tables beside each other have more.
 fn gather_legs(parts: &mut Vec<Part>, structure: &Structure, params: &DetectionParams) {
-    let mut pieces: Vec<Part> = parts.extract_if(.., |part| stands_on_a_leg(part, structure)).collect();
-    let joined = |a: &Part, b: &Part| {
-        let top = |p: &Part| p.bbox.center().z + 0.5 * p.bbox.size.z;
-        let is_one = (top(a) - top(b)).abs() <= SAME_TOP_M;
-        let points = || a.points.iter().chain(&b.points).copied().collect();
-        let both = is_one.then(|| boxed(points(), params.box_trim)).flatten();
-        both.filter(|both| long(both) <= MOST_TABLE_M.0 && short(both) <= MOST_TABLE_M.1)
-    };
-    let area = |p: &Part| p.bbox.size.x * p.bbox.size.y;
-    while let Some(piece) = pieces.pop() {
-        let grown = |other: &Part| {
-            let both = joined(other, &piece)?;
-            (long(&both) >= LEAST_TABLE_M).then(|| (area(&both) - area(other), both))
-        };
-        // The one that grows least by it; of tables first.
-        let least = |of: &[Part], is_wanted: &dyn Fn(&Part) -> bool| {
-            let found = of.iter().enumerate().filter(|(_, p)| is_wanted(p)).filter_map(|(i, p)| Some((i, grown(p)?)));
-            found.min_by(|a, b| a.1.0.total_cmp(&b.1.0)).map(|(i, (_, both))| (i, both))
-        };
-        if let Some((i, both)) = least(parts, &|p| long(p) >= LEAST_TABLE_M) {
-            parts[i] = both;
-        } else if let Some((i, both)) = least(&pieces, &|_| true) {
-            pieces.remove(i);
-            parts.push(both);
-        } else {
-            parts.push(piece);
+    let mut pieces: Vec<OnLegs> = vec![];
+    let mut others: Vec<Part> = vec![];
+    for part in parts.drain(..) {
+        match legs_of(&part, structure, params) {
+            Some(legs) => pieces.push(OnLegs { part, legs }),
+            None => others.push(part),
         }
     }
-    parts.sort_by_key(|p| std::cmp::Reverse(p.points.len()));
+    // The two that grow least by each other first.
+    while let Some((i, j, both)) = (0..pieces.len())
+        .flat_map(|i| (i + 1..pieces.len()).map(move |j| (i, j)))
+        .filter_map(|(i, j)| Some((i, j, one_of(&pieces[i], &pieces[j], params)?)))
+        .min_by(|a, b| growth(&pieces, a).total_cmp(&growth(&pieces, b)))
+    {
+        pieces.remove(j);
+        pieces[i] = both;
+    }
+    // Under some tables more stands than legs.
+    for piece in pieces {
+        let is_leg = piece.legs.len() == 1 && long(&piece.part) <= LEAST_TABLE_M;
+        let grown = |other: &Part| {
+            let both = joined(other, &piece.part, params).filter(|_| is_leg && long(other) >= LEAST_TABLE_M)?;
+            Some((area(&both) - area(other), both))
+        };
+        let wholes = others.iter().enumerate().filter_map(|(i, other)| Some((i, grown(other)?)));
+        match wholes.min_by(|a, b| a.1.0.total_cmp(&b.1.0)).map(|(i, (_, both))| (i, both)) {
+            Some((i, both)) => others[i] = both,
+            None => others.push(piece.part),
+        }
+    }
+    others.sort_by_key(|p| std::cmp::Reverse(p.points.len()));
+    *parts = others;
+}
+
+/// Two pieces as one table, if they may be.
+fn one_of(a: &OnLegs, b: &OnLegs, params: &DetectionParams) -> Option<OnLegs> {
+    let part = joined(&a.part, &b.part, params).filter(|both| long(both) >= LEAST_TABLE_M)?;
+    let mut legs = a.legs.clone();
+    for leg in &b.legs {
+        if legs.iter().all(|other| (other - leg).norm() > LEG_M) {
+            legs.push(*leg);
+        }
+    }
+    let inside = |leg: &Point2<f64>| {
+        let in_box = part.bbox.t_frame_box.inverse() * Point3::new(leg.x, leg.y, part.bbox.center().z);
+        (0.5 * part.bbox.size.x - in_box.x.abs()).min(0.5 * part.bbox.size.y - in_box.y.abs())
+    };
+    let is_table = legs.len() <= TABLE_LEGS && legs.iter().all(|leg| inside(leg) <= LEG_INSIDE_M);
+    is_table.then_some(OnLegs { part, legs })
+}
+
+/// By how much the larger of two pieces grows, square metres.
+fn growth(pieces: &[OnLegs], (i, j, both): &(usize, usize, OnLegs)) -> f64 {
+    area(&both.part) - area(&pieces[*i].part).max(area(&pieces[*j].part))
+}
+
+/// Two parts as one, if their tops are at one height and the whole is no larger than tables are.
+fn joined(a: &Part, b: &Part, params: &DetectionParams) -> Option<Part> {
+    let top = |p: &Part| p.bbox.center().z + 0.5 * p.bbox.size.z;
+    let is_one = (top(a) - top(b)).abs() <= SAME_TOP_M;
+    let points = || a.points.iter().chain(&b.points).copied().collect();
+    let both = is_one.then(|| boxed(points(), params.box_trim)).flatten();
+    both.filter(|both| long(both) <= MOST_TABLE_M.0 && short(both) <= MOST_TABLE_M.1)
+}
+
+fn area(part: &Part) -> f64 {
+    part.bbox.size.x * part.bbox.size.y
 }
 
 fn long(part: &Part) -> f64 {
@@ -154,15 +202,24 @@ fn short(part: &Part) -> f64 {
     part.bbox.size.x.min(part.bbox.size.y)
 }
 
-/// Whether a part is as high as tables are, no longer than half of one, and all of it below its top is one leg.
-fn stands_on_a_leg(part: &Part, structure: &Structure) -> bool {
+/// The legs of a part as high as tables are, if it has nothing else below its top.
+fn legs_of(part: &Part, structure: &Structure, params: &DetectionParams) -> Option<Vec<Point2<f64>>> {
     let height = structure.height(&part.bbox.center()) + 0.5 * part.bbox.size.z;
-    if !(TABLE_HEIGHTS_M.0..=TABLE_HEIGHTS_M.1).contains(&height) || long(part) > LEAST_TABLE_M {
-        return false;
+    let is_table = (TABLE_HEIGHTS_M.0..=TABLE_HEIGHTS_M.1).contains(&height)
+        && long(part) <= MOST_TABLE_M.0
+        && short(part) <= MOST_TABLE_M.1;
+    if !is_table {
+        return None;
     }
     let low: Vec<Point3<f32>> =
         part.points.iter().filter(|p| structure.height(&p.cast()) < LEG_SHARE * height).copied().collect();
-    upright_box_trimmed(&low, 0.0).is_some_and(|leg| leg.size.x.max(leg.size.y) <= LEG_M)
+    let clusters = dbscan(&low, &DbscanParams { eps_m: params.cluster_eps_m, min_points: 1 }).ok()?;
+    let leg = |members: &Vec<usize>| {
+        let leg = upright_box_trimmed(&members.iter().map(|i| low[*i]).collect::<Vec<_>>(), 0.0)?;
+        (leg.size.x.max(leg.size.y) <= LEG_M).then(|| leg.center().xy())
+    };
+    let legs: Option<Vec<Point2<f64>>> = clusters.indices().iter().map(leg).collect();
+    legs.filter(|legs| (1..=TABLE_LEGS).contains(&legs.len()))
 }
 
 fn belong_together(a: &OrientedBox3, b: &OrientedBox3, params: &DetectionParams) -> bool {
