@@ -123,9 +123,7 @@ def bare_grpc(port, ready) -> None:
     server = grpc.server(futures.ThreadPoolExecutor(2))
     method = grpc.stream_stream_rpc_method_handler(answer)
     service = {"StreamFrames": method}
-    server.add_generic_rpc_handlers(
-        (grpc.method_handlers_generic_handler("percept.v1.SensorsService", service),)
-    )
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("percept.v1.SensorsService", service),))
     port.value = server.add_insecure_port("127.0.0.1:0")
     server.start()
     ready.set()
@@ -247,8 +245,7 @@ def main() -> None:
             for sensor in SENSORS:
                 for way in ("grpc", "zenoh", "zenoh_shared_memory"):
                     rounds = [
-                        rates(server, client, bare, way, sensor, arguments.frames)
-                        for _ in range(arguments.rounds)
+                        rates(server, client, bare, way, sensor, arguments.frames) for _ in range(arguments.rounds)
                     ]
                     ours, theirs = (max(r[i] for r in rounds) for i in (0, 1))
                     out[f"{sensor}_{way}"] = {

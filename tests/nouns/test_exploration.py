@@ -81,6 +81,9 @@ def test_the_frontier_is_where_the_unknown_begins(hall):
     assert found[0].cost > 6
     assert hall.plan(found[0].goal, start=(1.0, 1.0))
     assert hall.frontiers(start=(1.0, 1.0), min_length_m=5.0) == []
+    with pytest.raises(InvalidArgument, match="outside of the map") as refused:
+        hall.frontiers(start=(500.0, 1.0))
+    assert refused.value.field == "start", "no frontiers would say that all is known"
     # Where the robot is nobody knows.
     with pytest.raises(FailedPrecondition) as error:
         hall.frontiers()

@@ -34,6 +34,9 @@ pub enum CorrectionError {
     /// The whole is deleted, or a part of another.
     #[error("object {0} is deleted or a part of another: nothing can be a part of it")]
     NoWhole(ObjectId),
+    /// It is no thing any more.
+    #[error("object {0} is deleted, or was split before; restore it first")]
+    Deleted(ObjectId),
     /// Too few or too many boxes.
     #[error("{0} boxes: a thing is split into 2 to {MAX_PIECES}")]
     Pieces(usize),
@@ -93,6 +96,9 @@ impl Tracker {
                 (annotation.is_deleted, annotation.part_of) = (false, Some(whole));
                 changes.push(change(id, ObjectChangeKind::Merged { into: whole }));
                 changes.push(change(whole, ObjectChangeKind::Updated));
+            }
+            Correction::Split(_) if self.tracks[index].annotation.is_deleted => {
+                return Err(CorrectionError::Deleted(id));
             }
             Correction::Split(boxes) => {
                 self.split(index, &boxes)?;

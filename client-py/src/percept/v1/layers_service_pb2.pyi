@@ -742,7 +742,7 @@ class GetChangesRequest(_message.Message):
     SINCE_VERSION_FIELD_NUMBER: _builtins.int
     layer: Global___MapLayer.ValueType
     since_version: _builtins.int
-    """Version of an earlier answer; 0: since the beginning."""
+    """Version of an earlier answer; 0, or one that this map never had: since the beginning."""
     @_builtins.property
     def source(self) -> _map_pb2.MapSource: ...
     def __init__(

@@ -82,7 +82,9 @@ class PlanCoverageRequest(_message.Message):
 
     @_builtins.property
     def options(self) -> _path_pb2.PathOptions:
-        """Footprint (as the smallest disc that holds it), zones, speed and deadline; planner and headings are not looked at."""
+        """Footprint (as the smallest disc that holds it), zones, speed and deadline; planner and headings are not looked at, nor map_only: the
+        map alone counts, for who stands in the way now is elsewhere before all is covered.
+        """
 
     @_builtins.property
     def coverage(self) -> _path_pb2.CoverageOptions: ...
@@ -157,7 +159,9 @@ class FindFrontiersRequest(_message.Message):
     def source(self) -> _map_pb2.MapSource: ...
     @_builtins.property
     def start(self) -> _geometry_pb2.Vector2:
-        """Metres, map frame. Absent: where the robot is."""
+        """Metres, map frame; what lies outside of the map, in an obstacle, or where nothing is known is refused (OUT_OF_RANGE). Absent: where
+        the robot is.
+        """
 
     @_builtins.property
     def params(self) -> _params_pb2.PlanningParams:

@@ -160,8 +160,8 @@ pub(crate) fn lost(error: &(dyn std::error::Error + Send + Sync + 'static)) -> O
     let transport = error.downcast_ref::<Status>().and_then(|status| std::error::Error::source(status))?;
     transport.downcast_ref::<tonic::transport::Error>()?;
     Some(format!(
-        "the connection to the server broke: {}; is it still running, and where it speaks TLS, is its address written with \
-         https://?",
+        "the connection to the server broke: {}; is it still running, is that its gRPC port (listen.grpc, 50051 as a rule) and \
+         not its REST port, and where it speaks TLS, is its address written with https://?",
         super::with_causes(transport)
     ))
 }
@@ -170,13 +170,7 @@ pub(crate) fn lost(error: &(dyn std::error::Error + Send + Sync + 'static)) -> O
 pub(crate) fn refused(error: &(dyn std::error::Error + Send + Sync + 'static)) -> Option<String> {
     let status = error.downcast_ref::<Status>()?;
     let is_said = std::error::Error::source(status).is_none() && !status.message().is_empty();
-    is_said.then(|| match status.message() {
-        // HTTP/2 was answered in HTTP/1.1.
-        message if message.contains("h2 protocol error") || message.contains("http2 error") => {
-            format!("{message}; is that the server's gRPC port (listen.grpc, 50051 as a rule), not its REST port?")
-        }
-        message => message.to_owned(),
-    })
+    is_said.then(|| status.message().to_owned())
 }
 
 /// What a server answered; of what it refused its own words, which name field and remedy.

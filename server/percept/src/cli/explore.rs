@@ -284,6 +284,7 @@ fn frontiers_on_file(args: &FrontierArgs, map: &Path) -> Result<v1::FindFrontier
     let asked = convert::frontier_request(&sent, &percept_pipeline::PipelineParams::default())?;
     let (sent_params, sent_options) = (sent.params.unwrap_or_default(), sent.options.unwrap_or_default());
     let (grid, start, params, options) = args.ground.read(map, &sent_params, &sent_options)?;
+    exploration::check_free(&grid, &start, &params)?;
     let found = exploration::frontiers_on(&grid, start, (asked.min_length_m, asked.gain), &params, &options)?;
     Ok(v1::FindFrontiersResponse { stamp: None, ..convert::frontiers_to(&explored(found)) })
 }

@@ -8,6 +8,7 @@ use percept_wire::{json, v1};
 use std::path::{Path, PathBuf};
 use v1::import_map_request::Map;
 use v1::maps_service_client::MapsServiceClient;
+use v1::sessions_service_client::SessionsServiceClient;
 use v1::toolbox_kept_clouds_service_client::ToolboxKeptCloudsServiceClient;
 
 /// Files above this go up in parts, as a cloud that the server keeps meanwhile.
@@ -101,6 +102,11 @@ async fn into_server(args: &ImportMapArgs, given: Given) -> Result<(), Failure> 
         let _ = ToolboxKeptCloudsServiceClient::new(session.channel.clone())
             .drop_cloud(v1::DropCloudRequest { handle })
             .await;
+    }
+    if done.is_err() && args.session.is_none() {
+        // Nobody asked for a session without a map.
+        let request = v1::DeleteSessionRequest { session_id: session.id.clone() };
+        let _ = SessionsServiceClient::new(session.channel.clone()).delete_session(request).await;
     }
     let done = done?;
     if args.json {

@@ -137,6 +137,8 @@ fn what_cannot_be_is_refused_and_nothing_changes() {
     }
     t.annotate(one, Correction::Delete).unwrap();
     assert_eq!(t.annotate(zero, Correction::PartOf(one)), Err(CorrectionError::NoWhole(one)));
+    let halves = || Correction::Split(vec![boxed(1.0); 2]);
+    assert_eq!(t.annotate(one, halves()), Err(CorrectionError::Deleted(one)), "what is no thing has no pieces");
     t.annotate(one, Correction::Restore).unwrap();
     assert_eq!(t.objects(), before);
 }

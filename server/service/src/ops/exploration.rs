@@ -3,7 +3,7 @@
 use super::maps::stamp_of;
 use super::navigation::{PathOptions, PlanRequest, ground, known_pose, plan_error};
 use crate::{Error, ErrorCode, Result, Service, Zones, reason};
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector2};
 use percept_geometry::{Aabb3, GridGeometry, Timestamp};
 use percept_mapping::DenseGrid;
 use percept_pipeline::Snapshot;
@@ -133,6 +133,7 @@ fn edges_of_known(
     zones: &Zones,
     max_cells: usize,
 ) -> Result<Explored<Vec<Frontier>>> {
+    let is_given = request.start.is_some();
     let start = request.start.or(known_pose(snapshot).map(|(position, _)| position));
     let start = start.ok_or_else(|| {
         let message = "the robot does not know where it is; give a start";
@@ -141,8 +142,38 @@ fn edges_of_known(
     let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
     let options = PathOptions { is_map_only: true, ..request.options.in_zones(zones) };
     let grid = ground(snapshot, &options, params.max_cells)?;
+    if is_given {
+        check_free(&grid, &start, &params)?;
+    }
     let found = frontiers_on(&grid, start, (request.min_length_m, request.gain), &params, &options)?;
     Ok(Explored::of(snapshot, Some(found)))
+}
+
+/// Whether frontiers may be looked for from a place that was given: from others there would seem to be none.
+///
+/// # Errors
+/// `OUT_OF_RANGE` if it is outside of the map, in an obstacle, or where nothing is known.
+pub fn check_free(grid: &DenseGrid, start: &Point2<f64>, params: &PlanParams) -> Result<()> {
+    let value_at = |p: &Point2<f64>| {
+        let cell = grid.geometry.cell(p)?;
+        let (x, y) = (usize::try_from(cell.x).ok()?, usize::try_from(cell.y).ok()?);
+        (x < grid.width && y < grid.height).then(|| grid.cells.get(y * grid.width + x).copied()).flatten()
+    };
+    let is_occupied = |value: i8| f64::from(value) >= 100.0 * params.occupied_probability;
+    // A robot may stand a little beside where it is free, as when a path is planned.
+    let steps = (params.start_tolerance_m / grid.geometry.resolution_m).min(20.0) as i32;
+    let beside = (-steps..=steps).flat_map(|y| (-steps..=steps).map(move |x| Vector2::new(f64::from(x), f64::from(y))));
+    let mut near = beside.filter_map(|by| value_at(&(start + by * grid.geometry.resolution_m)));
+    if near.any(|value| value >= 0 && !is_occupied(value)) {
+        return Ok(());
+    }
+    let what = match value_at(start) {
+        None => "outside of the map",
+        Some(value) if is_occupied(value) => "in an obstacle",
+        Some(_) => "where nothing is known",
+    };
+    let message = format!("start ({}, {}) is {what}; choose a place that is free", start.x, start.y);
+    Err(Error::invalid(reason::OUT_OF_RANGE, "start", message))
 }
 
 /// Frontiers of a grid, of at least so many metres, what is worth most by this gain first.

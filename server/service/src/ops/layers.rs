@@ -257,7 +257,7 @@ impl Service {
         self.of_map(session, move |s| mesh_of(&s.layers, region, max_triangles)).await
     }
 
-    /// Where a layer changed after a version.
+    /// Where a layer changed after a version; all of it after a version that is newer than the map's.
     ///
     /// # Errors
     /// `LAYER_OFF`, `SESSION_NOT_FOUND`.
@@ -269,6 +269,8 @@ impl Service {
     ) -> Result<OfMap<ChangeAnswer>> {
         self.of_map(session, move |s| {
             let layers = &s.layers;
+            // A version that this map never had is another map's: all of it is new to who has that.
+            let since_version = if since_version > s.map_version { 0 } else { since_version };
             let has_voxels = layers.voxels.params().enabled;
             let layer = layer.unwrap_or(if has_voxels { MapLayer::Voxels } else { MapLayer::Occupancy });
             let regions = match layer {

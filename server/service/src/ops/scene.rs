@@ -224,6 +224,7 @@ fn correction_error(id: u64, error: &CorrectionError) -> Error {
         CorrectionError::Unknown(ObjectId(missing)) if *missing == id => unknown("object_id", id),
         CorrectionError::Unknown(ObjectId(missing)) => unknown("part_of", *missing),
         CorrectionError::PartOfItself(_) | CorrectionError::NoWhole(_) => invalid("part_of"),
+        CorrectionError::Deleted(_) => invalid("object_id"),
         CorrectionError::Pieces(_) => invalid("pieces"),
         CorrectionError::Box(i) => invalid(&format!("pieces.boxes[{i}]")),
         CorrectionError::TooMany { .. } => invalid("pieces"),

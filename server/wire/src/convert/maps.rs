@@ -69,9 +69,12 @@ pub fn region(r: Option<&v1::Region2>) -> Result<Option<(Point2<f64>, Point2<f64
 /// The ball that a cloud is asked for.
 ///
 /// # Errors
-/// A center without a positive radius.
+/// A center without a positive radius, or a radius without a center.
 pub fn around(center: Option<&v1::Vector3>, radius_m: Option<f64>) -> Result<Option<(Point3<f64>, f64)>> {
-    let Some(center) = center else { return Ok(None) };
+    if center.is_none() && radius_m.is_none() {
+        return Ok(None);
+    }
+    let center = required("centre", center)?;
     let radius = required("radius_m", radius_m)?;
     if !(radius.is_finite() && radius > 0.0) {
         return Err(Error::invalid(
