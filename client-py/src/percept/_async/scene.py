@@ -72,7 +72,8 @@ class AsyncScene(AsyncSessionBound):
     async def label(self, object_id: int, label: str, *, learn: bool = False) -> Object:
         """Says what an object is, whatever is detected from now on; an empty label takes that back.
 
-        learn: things that look like it are taken for that class, too, from the next search on.
+        learn: things that look more like it than like any other class are taken for that class, too, from the
+        next search on. Beside a class of percept's own that looks the same, that one is named as a rule.
         """
         call = convert.correct_object(self.session_id, object_id, label=label, learn=learn)
         return (await self._transport.call(call))[0]
