@@ -22,6 +22,9 @@ const NEAREST_M: f64 = 0.1;
 /// From a voxel's centre to where it is met on a side, in voxels: a little inside.
 const SIDE: f64 = 0.45;
 
+/// Voxels that are looked at one by one in a pass, at most: they take some 40 bytes each meanwhile.
+const MOST_REST: usize = 2_000_000;
+
 /// What is seen from a place.
 #[derive(Debug, Default)]
 pub(super) struct Look {
@@ -169,10 +172,11 @@ impl<'a> Shown<'a> {
         is_noted(&self.passed, voxel)
     }
 
-    /// Voxels that are not shown, in order; those that are known to be free among them.
+    /// Voxels that are not shown, in order, so many at most; those that are known to be free among them.
     pub(super) fn rest(&self) -> Vec<Voxel> {
         let hidden = self.space.occupied.keys().copied().filter(|v| !self.hits.contains(v));
-        let mut rest: Vec<Voxel> = self.space.free().filter(|v| !self.is_passed(*v)).chain(hidden).collect();
+        let mut rest: Vec<Voxel> =
+            self.space.free().filter(|v| !self.is_passed(*v)).chain(hidden).take(MOST_REST).collect();
         rest.sort_unstable();
         rest
     }

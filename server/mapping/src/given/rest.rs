@@ -18,6 +18,8 @@ const COLUMN: i32 = 8;
 /// cube is seen from one place of it as a rule; corners need a few.
 const CUBE_M: f64 = 1.0;
 const ROUNDS: usize = 6;
+/// Cubes do not grow beyond so many voxels along an edge.
+const LARGEST_CUBE: i32 = 1 << 16;
 
 /// Adds to the looks what none of them shows, and looks from further places where voxels are known to be free. Elsewhere nobody knows
 /// whether such a place is within what was mapped.
@@ -95,7 +97,7 @@ fn nth_nearest(looks: &[Look], to: &Point3<f64>, nth: usize) -> Option<usize> {
 
 /// Of the voxels that are not shown, and those beside them, one a cube that is free and over ground: the one nearest to the middle of
 /// those in its cube. Larger cubes where there would be more than `most`.
-fn places_within(space: &GivenSpace, ground: &Ground, rest: &[Voxel], most: usize) -> Vec<Voxel> {
+pub(super) fn places_within(space: &GivenSpace, ground: &Ground, rest: &[Voxel], most: usize) -> Vec<Voxel> {
     let beside = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)];
     let is_place =
         |v: &Voxel| space.is_open(*v) && ground.get(&Cell::new(v.x, v.y)).is_some_and(|ground| *ground < v.z);
@@ -115,7 +117,8 @@ fn places_within(space: &GivenSpace, ground: &Ground, rest: &[Voxel], most: usiz
             let cube = (v.z.div_euclid(edge), v.y.div_euclid(edge), v.x.div_euclid(edge));
             cubes.entry(cube).or_default().push(*v);
         }
-        if cubes.len() > most && most > 0 {
+        // However large they are, up to eight meet at the origin.
+        if cubes.len() > most && edge < LARGEST_CUBE {
             edge = edge.saturating_mul(5) / 4 + 1;
             continue;
         }
@@ -131,6 +134,6 @@ fn places_within(space: &GivenSpace, ground: &Ground, rest: &[Voxel], most: usiz
             };
             of_cube.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)))
         };
-        return if most == 0 { vec![] } else { cubes.values().filter_map(middle_one).collect() };
+        return cubes.values().filter_map(middle_one).take(most).collect();
     }
 }

@@ -223,6 +223,26 @@ fn voxels_come_back_as_they_were_given() {
 }
 
 #[test]
+fn more_places_than_there_may_be_are_no_hindrance() {
+    // Rooms that no door joins, around the origin, so that cubes of all sizes have several to look from.
+    let (mut occupied, mut free) = (vec![], vec![]);
+    for (x, y) in (-24..24).flat_map(|x| (-24..24).map(move |y| (x, y))) {
+        for z in -1..8 {
+            let is_wall = z < 0 || x % 4 == 0 || y % 4 == 0;
+            (if is_wall { &mut occupied } else { &mut free }).push(Voxel::new(x, y, z));
+        }
+    }
+    let space = GivenSpace::of_voxels(&occupied, free.into_iter(), 0.5).unwrap();
+    let options = GivenOptions { sensor_height_m: 1.0, ..OPTIONS };
+    let ground = space.ground(&options);
+    let rest: Vec<Voxel> = space.free().collect();
+    for most in [0, 1, 3, 7, 20, 1_000] {
+        let places = rest::places_within(&space, &ground, &rest, most);
+        assert!(places.len() <= most && places.is_empty() == (most == 0), "{most}: {}", places.len());
+    }
+}
+
+#[test]
 fn points_that_are_no_numbers_are_refused() {
     let points = PointCloud::from_positions(vec![Point3::new(f32::NAN, 0.0, 0.0)]);
     assert!(matches!(GivenSpace::of_points(points, 0.1), Err(MappingError::PointTooFar)));
