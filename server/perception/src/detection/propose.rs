@@ -294,3 +294,51 @@ fn lean(part: &mut Proposal, structure: &Structure) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::structure::find_structure;
+    use super::*;
+
+    /// A floor, and tables of 1.2 x 0.6 m as they are seen from below their tops: legs and the edge, but for so much of its middle.
+    fn tables(at: &[(f32, f32)], gap: f32) -> Vec<Point3<f32>> {
+        let steps = |from: f32, to: f32| {
+            let n = ((to - from) / 0.04).round() as i32;
+            (0..=n).map(move |i| from + (to - from) * i as f32 / n as f32)
+        };
+        let mut points: Vec<Point3<f32>> =
+            steps(-4.0, 4.0).flat_map(|x| steps(-4.0, 4.0).map(move |y| Point3::new(x, y, 0.0))).collect();
+        for (x, y) in at {
+            for (dx, dy) in [(-0.55, -0.25), (-0.55, 0.25), (0.55, -0.25), (0.55, 0.25)] {
+                points.extend(steps(0.04, 0.72).map(|z| Point3::new(x + dx, y + dy, z)));
+                points.extend(steps(0.04, 0.72).map(|z| Point3::new(x + dx + 0.04, y + dy, z)));
+            }
+            for edge in [(-0.6, -0.5 * gap), (0.5 * gap, 0.6)] {
+                for dx in steps(edge.0, edge.1) {
+                    points
+                        .extend([-0.3, 0.3].iter().flat_map(|dy| [0.68, 0.72].map(|z| Point3::new(x + dx, y + dy, z))));
+                }
+            }
+            for dx in [-0.6, 0.6] {
+                points.extend(steps(-0.3, 0.3).flat_map(|dy| [0.68, 0.72].map(|z| Point3::new(x + dx, y + dy, z))));
+            }
+        }
+        points
+    }
+
+    fn found(points: &[Point3<f32>]) -> Vec<OrientedBox3> {
+        let params = DetectionParams::default();
+        let structure = find_structure(points, &params).unwrap();
+        propose(points, &structure, &params).unwrap().into_iter().map(|p| p.bbox).collect()
+    }
+
+    #[test]
+    fn halves_of_a_table_are_one_and_tables_beside_each_other_are_two() {
+        let one = found(&tables(&[(0.0, 0.0)], 0.5));
+        assert_eq!(one.len(), 1, "{one:?}");
+        assert!((one[0].size.x.max(one[0].size.y) - 1.2).abs() < 0.1, "{:?}", one[0].size);
+        let two = found(&tables(&[(0.0, 0.0), (0.0, 0.9)], 0.0));
+        assert_eq!(two.len(), 2, "{two:?}");
+        assert!(two.iter().all(|b| (b.size.x.max(b.size.y) - 1.2).abs() < 0.1), "{two:?}");
+    }
+}
