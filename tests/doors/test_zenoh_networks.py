@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 
 import pytest
 import zenoh
 from percept import Client
+from percept.errors import DeadlineExceeded
 from percept.zenoh import MapReader, SensorPublisher
 
 from support import world
+from support.links import Link
 from support.ros2 import Router
 from support.server import Server, binary, eventually
 
@@ -74,14 +77,39 @@ def test_the_router_may_come_later_and_go_and_come_back(start, tmp_path):
         with SensorPublisher(router.endpoint, session_id=session.session_id) as publisher:
             drive(publisher, first, last)
 
-    router.start()
-    send(0, 2)
-    assert eventually(lambda: session.sensors.list()[0].accepted == 2)
-    router.close()
-    router.start()
-    send(2, 4)
-    assert eventually(lambda: session.sensors.list()[0].accepted == 4)
-    router.close()
+    # At once each time, too: percept is there again before it has done with the router that left.
+    for i in range(0, 16, 2):
+        router.start()
+        with MapReader(router.endpoint, session_id=session.session_id) as reader, reader.poses() as poses:
+            send(i, i + 2)
+            assert eventually(lambda i=i: session.sensors.list()[0].accepted == i + 2)
+            if i > 0:
+                assert poses.receive(timeout_s=10).stamp_ns >= world.stamp(i)
+        router.close()
+
+
+def test_a_link_to_the_router_may_break(start, router):
+    with Link(router.endpoint) as link:
+        _, client = start("--zenoh-connect", link.endpoint, zenoh="")
+        session = client.sessions.create(sensors=[world.LASER])
+        of = {"session_id": session.session_id}
+        with SensorPublisher(router.endpoint, **of) as publisher, MapReader(router.endpoint, **of) as reader:
+            sent = 0
+
+            def is_there_again(poses) -> bool:
+                """What is published while nobody is connected is lost."""
+                nonlocal sent
+                drive(publisher, sent, sent + 1)
+                sent += 1
+                with contextlib.suppress(DeadlineExceeded):
+                    return poses.receive(timeout_s=0.2).stamp_ns > cut_at
+                return False
+
+            for _ in range(5):
+                with reader.poses() as poses:
+                    cut_at = world.stamp(sent)
+                    assert eventually(lambda poses=poses: is_there_again(poses))
+                link.cut()
 
 
 def test_sites_of_one_router_are_apart_by_their_namespaces(start, router, tmp_path):

@@ -97,13 +97,12 @@ impl Default for Listen {
 }
 
 /// Networks of zenoh that percept joins, beside what it listens on (`listen.zenoh`). Not with auth.mode "required": who
-/// sends through a router cannot be told. Nothing but percept's own keys passes from one side to another.
+/// sends through a router cannot be told. Nothing passes from one of them to another.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Zenoh {
-    /// Routers and peers to connect to, such as "tcp/router.local:7447", whenever they are there. Percept is a router beside
-    /// them then, else a peer; `listen.zenoh` may be closed. Wants `auth.allow_anonymous_beyond_loopback`: whoever reaches
-    /// the router reaches every session.
+    /// One router of each, such as "tcp/router.local:7447", to connect to as its client, whenever it is there; `listen.zenoh`
+    /// may be closed. Wants `auth.allow_anonymous_beyond_loopback`: whoever reaches the router reaches every session.
     pub connect: Vec<String>,
     /// Put before every key, such as "site-a" for keys site-a/percept/...; empty: nothing.
     pub namespace: String,

@@ -55,7 +55,7 @@ pub(crate) struct ServeArgs {
     /// Endpoint of the zenoh door, e.g. tcp/127.0.0.1:7447; empty closes it.
     #[arg(long)]
     zenoh: Option<String>,
-    /// Router or peer of zenoh to connect to, e.g. tcp/router.local:7447; may be given several times.
+    /// Router of a zenoh network to join, e.g. tcp/router.local:7447; may be given several times.
     #[arg(long, value_name = "ENDPOINT")]
     zenoh_connect: Vec<String>,
     /// Folder in which all that sessions take is recorded, as MCAP.

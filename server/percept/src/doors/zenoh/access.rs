@@ -171,31 +171,6 @@ fn access_control(members: &[Member]) -> Value {
     json!({"enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies})
 }
 
-/// What a router that is joined may bring and take, as zenoh enforces it: percept's own keys. It is no bridge for what else goes on in
-/// the networks on its sides.
-pub(super) fn ours_alone(namespace: &str) -> Value {
-    let ours = if namespace.is_empty() { format!("{ROOT}/**") } else { format!("{namespace}/{ROOT}/**") };
-    let messages = [
-        "put",
-        "delete",
-        "declare_subscriber",
-        "query",
-        "reply",
-        "declare_queryable",
-        "liveliness_token",
-        "declare_liveliness_subscriber",
-        "liveliness_query",
-    ];
-    let [came, goes] = ["ingress", "egress"].map(|flow| rule(flow, &messages, flow, &ours));
-    json!({
-        "enabled": true,
-        "default_permission": "deny",
-        "rules": [came, goes],
-        "subjects": [{"id": "all", "link_protocols": ["tcp", "udp"]}],
-        "policies": [{"rules": ["ingress", "egress"], "subjects": ["all"]}],
-    })
-}
-
 fn rule(id: &str, messages: &[&str], flow: &str, key: &str) -> Value {
     json!({"id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
 }

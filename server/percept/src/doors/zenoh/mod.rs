@@ -1,6 +1,7 @@
 //! The zenoh door: sensor messages in, poses and events out, maps and scene by query. Payloads are the contract's.
 //!
-//! Percept listens for peers, and joins networks of zenoh, as the settings say. Key expressions, behind the namespace if there is one, `<session>` and `<sensor>` being ids:
+//! Percept listens for peers, and joins networks of zenoh ([`network`]), as the settings say. Key expressions, behind the
+//! namespace if there is one, `<session>` and `<sensor>` being ids:
 //! - in: `percept/<session>/<sensor>/frame`, a `SensorMessage` whose ids, if set, agree with the key;
 //! - out: `percept/<session>/pose` (`PoseEstimate`), `percept/<session>/events` (`SessionEvent`);
 //! - queryable: `percept/<session>/map/occupancy` (`OccupancyGridChunk`, whole), `.../map/cloud` (`CloudChunk`,
@@ -13,6 +14,7 @@
 
 mod access;
 mod lanes;
+mod network;
 mod publish;
 mod query;
 
@@ -41,29 +43,30 @@ const COUNTS_EVERY: Duration = Duration::from_secs(5);
 
 pub(super) type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-fn config(setup: &Setup, policy: &Policy) -> Result<zenoh::Config, Failure> {
-    let Setup { endpoint, network, max_message_bytes, tls, .. } = setup;
+/// What every session of the door is opened with.
+fn config(setup: &Setup) -> Result<zenoh::Config, Failure> {
     let mut config = zenoh::Config::default();
-    let listen: &[&str] = if endpoint.is_empty() { &[] } else { &[endpoint] };
     for (key, value) in [
-        // Beside routers it is one: what is connected to them alone reaches it, and it may be there before they are.
-        ("mode", if network.connect.is_empty() { "\"peer\"" } else { "\"router\"" }.to_owned()),
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
-        ("listen/endpoints", serde_json::to_string(listen)?),
-        ("connect/endpoints", serde_json::to_string(&network.connect)?),
         ("transport/shared_memory/enabled", "true".to_owned()),
         // The default of 1 GiB would let one peer take all memory.
-        ("transport/link/rx/max_message_size", max_message_bytes.saturating_mul(2).to_string()),
+        ("transport/link/rx/max_message_size", setup.max_message_bytes.saturating_mul(2).to_string()),
     ] {
         config.insert_json5(key, &value)?;
     }
-    if !network.namespace.is_empty() {
-        config.insert_json5("namespace", &serde_json::to_string(&network.namespace)?)?;
+    if !setup.network.namespace.is_empty() {
+        config.insert_json5("namespace", &serde_json::to_string(&setup.network.namespace)?)?;
     }
-    if !network.connect.is_empty() {
-        config.insert_json5("access_control", &access::ours_alone(&network.namespace).to_string())?;
-    }
+    Ok(config)
+}
+
+/// A peer that listens.
+fn listening(setup: &Setup, policy: &Policy) -> Result<zenoh::Config, Failure> {
+    let Setup { endpoint, tls, .. } = setup;
+    let mut config = config(setup)?;
+    config.insert_json5("mode", "\"peer\"")?;
+    config.insert_json5("listen/endpoints", &serde_json::to_string(&[endpoint])?)?;
     for (key, value) in policy.settings() {
         config.insert_json5(key, &value)?;
     }
@@ -83,11 +86,10 @@ fn config(setup: &Setup, policy: &Policy) -> Result<zenoh::Config, Failure> {
 
 /// Serves until the server stops. Opened before it returns its future's first await point is over.
 pub(crate) struct ZenohDoor {
-    session: zenoh::Session,
+    /// The session that listens, and of the setup's files when it was opened; none if percept only joins networks.
+    listening: Option<(zenoh::Session, Stamps)>,
     names: Names,
     setup: Setup,
-    /// Of the setup's files, when the session was opened.
-    stamps: Stamps,
     /// Who may call; other rules for certificates come while the server runs.
     auth: watch::Receiver<AuthSettings>,
 }
@@ -103,9 +105,12 @@ struct Setup {
 }
 
 impl Setup {
-    async fn open(&self, policy: &Policy) -> Result<(zenoh::Session, Stamps), Failure> {
+    async fn listen(&self, policy: &Policy) -> Result<Option<(zenoh::Session, Stamps)>, Failure> {
+        if self.endpoint.is_empty() {
+            return Ok(None);
+        }
         let stamps = self.stamps();
-        Ok((zenoh::open(config(self, policy)?).await?, stamps))
+        Ok(Some((zenoh::open(listening(self, policy)?).await?, stamps)))
     }
 
     /// Zenoh reads certificates and users when it is opened, and only then.
@@ -173,7 +178,7 @@ pub(crate) fn check(auth: &AuthSettings, endpoint: &str, tls: &Tls) -> Result<()
 }
 
 impl ZenohDoor {
-    /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`, and is of a network; without an endpoint, of the network alone.
+    /// Opens a peer that listens on `endpoint`, e.g. `tcp/127.0.0.1:7447`; without one, networks are joined alone.
     pub(crate) async fn open(
         api: &Api,
         endpoint: &str,
@@ -190,60 +195,87 @@ impl ZenohDoor {
             tls: tls.clone(),
             users_file: settings.zenoh_users_file.clone().into(),
         };
-        let (session, stamps) = setup.open(&policy).await?;
-        Ok(Self { session, names: Names { api: api.clone(), policy }, setup, stamps, auth })
+        let listening = setup.listen(&policy).await?;
+        Ok(Self { listening, names: Names { api: api.clone(), policy }, setup, auth })
     }
 
-    /// Serves until the server stops. When certificates, users or rules have changed, the door closes and opens again:
-    /// peers connect anew by themselves.
-    pub(crate) async fn serve(mut self, api: Api) -> Result<(), Failure> {
+    /// Serves until the server stops.
+    pub(crate) async fn serve(self, api: Api) -> Result<(), Failure> {
         let mut stopping = api.stopping.clone();
-        while self.serve_once(&api).await? {
+        let publishers = Arc::new(publish::Publishers::default());
+        let mut tasks = tokio::task::JoinSet::new();
+        for router in &self.setup.network.connect {
+            let attended = Attended { names: self.names.clone(), publishers: Arc::clone(&publishers) };
+            tasks.spawn(network::join(config(&self.setup)?, router.clone(), attended, api.stopping.clone()));
+        }
+        tokio::select! {
+            served = self.serve_listening(&api, &publishers) => served?,
+            () = tell_counts(&api) => {}
+            _ = stopping.wait_for(|s| *s) => {}
+        }
+        tasks.shutdown().await;
+        Ok(())
+    }
+
+    /// Serves those who connect to percept. When certificates, users or rules have changed, the session closes and opens
+    /// again: peers connect anew by themselves.
+    async fn serve_listening(mut self, api: &Api, publishers: &Arc<publish::Publishers>) -> Result<(), Failure> {
+        let mut stopping = api.stopping.clone();
+        while let Some((session, stamps)) = self.listening.take() {
+            let attended = Attended { names: self.names.clone(), publishers: Arc::clone(publishers) };
+            let has_changed = tokio::select! {
+                failed = attended.to(&session) => { failed?; false }
+                () = self.setup.changed(&stamps) => true,
+                Ok(()) = self.auth.changed() => true,
+                _ = stopping.wait_for(|s| *s) => false,
+            };
+            session.close().await?;
+            if !has_changed {
+                return Ok(());
+            }
             tracing::info!("zenoh's certificates, users or rules have changed: its door opens anew");
-            loop {
+            while self.listening.is_none() {
                 let settings = self.auth.borrow_and_update().clone();
                 match Policy::of(&settings, &self.setup.endpoint, &self.setup.tls) {
                     Ok(policy) => self.names.policy = Arc::new(policy),
                     Err(error) => tracing::error!(%error, "the rules in force at the zenoh door stay"),
                 }
-                match self.setup.open(&self.names.policy).await {
-                    Ok((session, stamps)) => {
-                        (self.session, self.stamps) = (session, stamps);
-                        break;
+                match self.setup.listen(&self.names.policy).await {
+                    Ok(opened) => self.listening = opened,
+                    Err(error) => {
+                        tracing::error!(%error, "the zenoh door is closed: it cannot be opened anew");
+                        let pause = tokio::time::timeout(tls::LOOK, stopping.wait_for(|s| *s));
+                        if pause.await.is_ok() {
+                            return Ok(());
+                        }
                     }
-                    Err(error) => tracing::error!(%error, "the zenoh door is closed: it cannot be opened anew"),
-                }
-                let pause = tokio::time::timeout(tls::LOOK, stopping.wait_for(|s| *s));
-                if pause.await.is_ok() {
-                    return Ok(());
                 }
             }
         }
-        Ok(())
+        std::future::pending().await
     }
+}
 
-    /// Serves until the server stops, or until what the session was opened with has changed: true.
-    async fn serve_once(&mut self, api: &Api) -> Result<bool, Failure> {
-        let publishers = Arc::new(publish::Publishers::new(self.session.clone()));
+/// What comes of what a session of zenoh brings.
+#[derive(Clone)]
+struct Attended {
+    names: Names,
+    publishers: Arc<publish::Publishers>,
+}
+
+impl Attended {
+    /// Takes frames from a session, answers its questions and publishes there, until dropped.
+    async fn to(&self, session: &zenoh::Session) -> Result<(), Failure> {
         let names = self.names.clone();
         let decode = move |sample, memory| decode(names.clone(), sample, memory);
-        let names = self.names.clone();
-        let give = move |decoded| give(names.clone(), Arc::clone(&publishers), decoded);
-        let lanes = lanes::Lanes::new(Arc::clone(&api.bounds.memory), decode, give);
+        let this = self.clone();
+        let give = move |decoded| give(this.clone(), decoded);
+        let lanes = lanes::Lanes::new(Arc::clone(&self.names.api.bounds.memory), decode, give);
+        let _published = self.publishers.to(session);
         let frames = format!("{ROOT}/*/*/frame");
-        let subscriber = self.session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
-        let queries = query::serve(&self.session, self.names.clone()).await?;
-        let mut stopping = api.stopping.clone();
-        let has_changed = tokio::select! {
-            () = queries => false,
-            () = tell_counts(api) => false,
-            () = self.setup.changed(&self.stamps) => true,
-            Ok(()) = self.auth.changed() => true,
-            _ = stopping.wait_for(|s| *s) => false,
-        };
-        subscriber.undeclare().await?;
-        self.session.close().await?;
-        Ok(has_changed)
+        let _frames = session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
+        query::serve(session, self.names.clone()).await?.await;
+        Ok(())
     }
 }
 
@@ -293,11 +325,11 @@ async fn decode(names: Names, sample: Sample, memory: Charge) -> Decoded {
 }
 
 /// Hands on what came of a sample.
-async fn give(names: Names, publishers: Arc<publish::Publishers>, decoded: Decoded) {
+async fn give(to: Attended, decoded: Decoded) {
     let Decoded { key, frame, memory } = decoded;
     let taken = match frame {
         Ok((caller, incoming)) => {
-            publishers.watch(&caller, &incoming.session).await;
+            to.publishers.watch(&caller, &incoming.session).await;
             caller.offer_frame(incoming).await
         }
         Err(error) => {
@@ -306,7 +338,7 @@ async fn give(names: Names, publishers: Arc<publish::Publishers>, decoded: Decod
         }
     };
     if let Err(error) = taken
-        && let Some(untold) = names.api.service.faults().admit(&format!("frame {} {key}", error.reason))
+        && let Some(untold) = to.names.api.service.faults().admit(&format!("frame {} {key}", error.reason))
     {
         tracing::warn!(key, reason = error.reason, untold, %error, "frame refused");
     }
