@@ -142,6 +142,9 @@ class _Peer:
     ) -> None:
         """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected
         to; `namespace` the server's `zenoh.namespace`."""
+        if not (isinstance(session_id, str) and re.fullmatch("[A-Za-z0-9_-]{1,64}", session_id)):
+            message = f"session_id is {session_id!r}; use 1 to 64 characters of a-z A-Z 0-9 _ -"
+            raise InvalidArgument(message, reason="ID_INVALID", field="session_id")
         #: Name of the session.
         self.session_id = session_id
         self._timeout_s = timeout_s
@@ -334,14 +337,20 @@ class MapReader(_Peer):
 
     def _ask(self, rest: str, kind: type[M]) -> M:
         key = self._key(rest)
-        for reply in self._zenoh.get(key, timeout=self._timeout_s):
-            if reply.ok is not None:
-                return self._parsed(key, kind, reply.ok.payload.to_bytes())
-            said = reply.err.payload.to_bytes()
-            if said == _TIMEOUT:
-                raise DeadlineExceeded(f"{key} was not answered for {self._timeout_s:g} s")
-            error = self._parsed(key, error_pb2.ErrorInfo, said)
-            raise error_of(error.code, error.message, reason=error.reason, field=error.field)
+        # In a network that has just come together nobody is there yet who answers.
+        deadline = time.monotonic() + min(self._timeout_s, ANSWERS_SOON_S)
+        while True:
+            for reply in self._zenoh.get(key, timeout=self._timeout_s):
+                if reply.ok is not None:
+                    return self._parsed(key, kind, reply.ok.payload.to_bytes())
+                said = reply.err.payload.to_bytes()
+                if said == _TIMEOUT:
+                    raise DeadlineExceeded(f"{key} was not answered for {self._timeout_s:g} s")
+                error = self._parsed(key, error_pb2.ErrorInfo, said)
+                raise error_of(error.code, error.message, reason=error.reason, field=error.field)
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.02)
         raise Unavailable(f"nobody answers {key}; is it percept's endpoint?", reason="NO_REPLY")
 
     @staticmethod

@@ -55,9 +55,6 @@ fn driven(path: &Path, params: PipelineParams) -> Snapshot {
     pipeline.snapshot()
 }
 
-/// Height of the lidar above the road: A. Geiger et al., "Vision meets robotics: The KITTI dataset", 2013, figure 3.
-const LIDAR_M: f64 = 1.73;
-
 fn the_ground_is_under_the_car_and_can_be_driven_where_it_drove(data: &Path) {
     let mut params = PipelineParams::default();
     params.map.height.enabled = true;
@@ -71,7 +68,7 @@ fn the_ground_is_under_the_car_and_can_be_driven_where_it_drove(data: &Path) {
     for p in &way {
         let cell = ground.geometry.cell(&Point2::from(p.xy())).and_then(|cell| ground.index(cell));
         let z = cell.map_or(f32::NAN, |i| ground.ground_m[i]);
-        off.extend((!z.is_nan()).then_some((f64::from(z) - (p.z - LIDAR_M)).abs()));
+        off.extend((!z.is_nan()).then_some((f64::from(z) - p.z).abs()));
     }
     off.sort_by(f64::total_cmp);
     let (mut known, mut passable) = (0, 0);

@@ -105,6 +105,24 @@ fn kitti_rows_are_picked_by_file_number() {
     assert_eq!(reference.iter().map(|p| p.value.translation.x).collect::<Vec<_>>(), [0.0, 2.0]);
 }
 
+/// The car that KITTI was recorded with has its lidar 1.73 m above the road; scans of an unknown one are in its own frame.
+#[test]
+fn a_folder_of_the_kitti_car_knows_where_its_lidar_is() {
+    // The lidar pitches by a right angle where it stands: its base swings forward.
+    let poses = b"1 0 0 0 0 1 0 0 0 0 1 0\n0 0 1 0 0 1 0 0 -1 0 0 0\n";
+    for (folder_name, height, swung) in [("velodyne/", 1.73, [-1.73, 1.73]), ("", 0.0, [0.0, 0.0])] {
+        let names = [0, 1].map(|i| format!("{folder_name}00000{i}.bin"));
+        let scan = bin(3);
+        let dir = folder(&[(&*names[0], &scan), (&*names[1], &scan), ("poses.txt", poses)]);
+        let dataset = open(dir.path()).unwrap();
+        let lidar = &dataset.sensors[0];
+        assert_eq!(lidar.t_base_sensor.translation.vector.as_slice(), [0.0, 0.0, height]);
+        assert_eq!(lidar.range_max_m, (height > 0.0).then_some(120.0));
+        let base = dataset.reference.unwrap()[1].value.translation.vector;
+        assert!((base.x - swung[0]).abs() < 1e-9 && (base.z - swung[1]).abs() < 1e-9, "{base}");
+    }
+}
+
 const LOG: &[u8] = b"ODOM 0 0 0 0 0 0 10.0 h 0\nFLASER 2 1 2 0 0 0 0 0 0 10.1 h 0\nODOM 1 0 0 0 0 0 10.2 h 0\n\
     FLASER 2 1 3 1 0 0 1 0 0 10.3 h 0\nODOM 2 0 0 0 0 0 10.4 h 0\nFLASER 2 1 4 2 0 0 2 0 0 10.5 h 0\nODOM 3 0 0 0 0 0 10.6 h 0\n";
 

@@ -3,7 +3,7 @@
 use crate::convert::{self, ConvertError};
 use crate::messages::TFMessage;
 use percept_geometry::Pose;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Frames that are kept at most: robots have some hundred.
 const MAX_FRAMES: usize = 4096;
@@ -55,6 +55,19 @@ impl FrameTree {
         self.parents.contains_key(frame) || self.parents.values().any(|(parent, _)| parent == frame)
     }
 
+    /// The one frame of this name behind a prefix, as `robot1/base_link` is of `base_link`; none if there are several.
+    pub fn prefixed(&self, name: &str) -> Option<&str> {
+        let is_it = |frame: &&str| frame.strip_suffix(name).is_some_and(|prefix| prefix.ends_with('/'));
+        let frames = self.parents.iter().flat_map(|(child, (parent, _))| [child.as_str(), parent.as_str()]);
+        let found: BTreeSet<&str> = frames.filter(is_it).collect();
+        found.first().copied().filter(|_| found.len() == 1)
+    }
+
+    /// The frames above a frame, nearest first.
+    pub fn above<'a>(&'a self, frame: &'a str) -> Vec<&'a str> {
+        self.ancestors(bare(frame)).into_iter().skip(1).map(|(name, _)| name).collect()
+    }
+
     /// Parent of a frame, and `t_parent_frame`.
     pub fn parent(&self, frame: &str) -> Option<(&str, &Pose)> {
         self.parents.get(bare(frame)).map(|(parent, t)| (parent.as_str(), t))
@@ -103,6 +116,11 @@ mod tests {
         assert_eq!(at("laser", "laser"), Some(nalgebra::Vector3::zeros()));
         assert_eq!((at("laser", "wheel"), at("wheel", "laser")), (None, None));
         assert!(tree.contains("odom") && !tree.contains("wheel"));
+        assert_eq!(tree.above("/laser"), ["mast", "base_link", "odom"]);
+        tree.insert("a/odom", "a/base_link", Pose::identity());
+        assert_eq!((tree.prefixed("base_link"), tree.prefixed("link")), (Some("a/base_link"), None));
+        tree.insert("b/odom", "b/base_link", Pose::identity());
+        assert_eq!(tree.prefixed("base_link"), None);
     }
 
     #[test]

@@ -21,6 +21,9 @@ pub struct Annotation {
     /// Its box was drawn by a person, as a piece of what was detected as one.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub is_drawn: bool,
+    /// What it was a piece of, before that was split.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub piece_of: Option<ObjectId>,
 }
 
 impl Annotation {

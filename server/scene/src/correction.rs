@@ -14,7 +14,7 @@ pub enum Correction {
     Class(Option<ObjectClass>),
     /// It is no thing.
     Delete,
-    /// It is a thing of its own after all.
+    /// It is a thing of its own after all. If it was split, its pieces are forgotten.
     Restore,
     /// It is a part of that object.
     PartOf(ObjectId),
@@ -80,6 +80,9 @@ impl Tracker {
                 let was_listed = annotation.is_listed();
                 (annotation.is_deleted, annotation.part_of) = (false, None);
                 changes.extend((!was_listed).then(|| change(id, ObjectChangeKind::Appeared)));
+                for piece in self.take_back_pieces(id) {
+                    changes.push(change(piece, ObjectChangeKind::Forgotten));
+                }
             }
             Correction::PartOf(whole) => {
                 let of = self.index_of(whole)?;
@@ -136,6 +139,25 @@ impl Tracker {
         for track in self.tracks.iter_mut().filter(|t| t.annotation.part_of.is_some() && t.annotation.part_of == id) {
             track.annotation.part_of = None;
         }
+    }
+
+    /// Forgets the pieces that a thing was split into, and theirs, so that what is detected there is the whole again; which
+    /// of them were told.
+    fn take_back_pieces(&mut self, whole: ObjectId) -> Vec<ObjectId> {
+        let (mut pieces, mut next) = (vec![], vec![whole]);
+        while let Some(of) = next.pop() {
+            let theirs = self.tracks.iter().filter(|t| t.annotation.piece_of == Some(of)).filter_map(|t| t.id);
+            next.extend(theirs.clone());
+            pieces.extend(theirs);
+        }
+        let is_piece = |id: Option<ObjectId>| id.is_some_and(|id| pieces.contains(&id));
+        let told =
+            self.tracks.iter().filter(|t| is_piece(t.id) && t.annotation.is_listed()).filter_map(|t| t.id).collect();
+        self.tracks.retain(|t| !is_piece(t.id));
+        for track in self.tracks.iter_mut().filter(|t| is_piece(t.annotation.part_of)) {
+            track.annotation.part_of = None;
+        }
+        told
     }
 
     fn split(&mut self, index: usize, boxes: &[OrientedBox3]) -> Result<(), CorrectionError> {

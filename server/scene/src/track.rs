@@ -112,7 +112,8 @@ impl Track {
     /// A piece of another, as a person drew it.
     pub(crate) fn drawn(whole: &Self, id: ObjectId, bbox: &OrientedBox3) -> Self {
         let bbox = overlap::upright(bbox);
-        let annotation = Annotation { class: whole.annotation.class, is_drawn: true, ..Annotation::default() };
+        let annotation =
+            Annotation { class: whole.annotation.class, is_drawn: true, piece_of: whole.id, ..Annotation::default() };
         let mut piece = Self {
             id: Some(id),
             bbox,

@@ -100,6 +100,7 @@ reasons! {
         STAMP_NEGATIVE: "The stamp is negative; send nanoseconds since 1970.",
         STAMP_NOT_INCREASING: "The stamp is not after the sensor's last; send frames in order, each once.",
         STAMP_REPEATED: "Another frame of the sensor had this stamp; each has its own, in nanoseconds.",
+        STAMP_ZERO: "The stamp is 0; stamp each message with the robot's clock.",
         STEP_HAS_CLOUD: "A step of a toolbox pipeline names a cloud; only the first input does.",
         STEPS_INVALID: "The steps of a toolbox pipeline do not fit together.",
         STRIDE_TOO_SMALL: "A row stride is shorter than a row.",

@@ -237,7 +237,7 @@ class CorrectObjectRequest(_message.Message):
     """What it is: 1 to 31 bytes, any word. Empty takes back what was said."""
     is_deleted: _builtins.bool
     """True: it is no thing, and is not told again while something stands there. False: it is a thing of its own after all, also if it
-    was made a part.
+    was made a part, or split: its pieces are forgotten then.
     """
     part_of: _builtins.int
     """It is a part of that object, whose box then holds both."""

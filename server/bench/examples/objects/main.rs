@@ -95,13 +95,14 @@ fn poses(path: &Path, frames: &[truth::Frame]) -> Result<Vec<Pose>, Failure> {
     params.detection.enabled = false;
     let mut pipeline = Pipeline::new(params)?;
     recording.sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));
+    let t_base_lidar = recording.sensors.first().map_or_else(Pose::identity, |s| s.t_base_sensor);
     let mut out = vec![];
     for frame in recording.frames(None) {
         let frame = frame?;
         let is_scan = matches!(frame.data, SensorData::Cloud(_));
         let report = pipeline.process(&frame)?;
         if is_scan {
-            out.push(report.pose.map(|p| p.t_map_base).ok_or("a scan without a pose")?);
+            out.push(report.pose.map(|p| p.t_map_base * t_base_lidar).ok_or("a scan without a pose")?);
         }
     }
     let first = frames.first().map_or(0, |f| f.number);

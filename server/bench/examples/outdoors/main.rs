@@ -48,8 +48,9 @@ fn main() -> Result<(), Failure> {
     let recording = dataset::open(Path::new(path.as_str()))?;
     let mut pipeline = Pipeline::new(serde_json::from_value(tree)?)?;
     recording.sensors.iter().for_each(|s| pipeline.declare_sensor(s.clone()));
+    let t_base_lidar = recording.sensors.first().map_or_else(Pose::identity, |s| s.t_base_sensor);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let (ms, t_map_frames, keyframes) = pool.install(|| -> Result<_, Failure> {
+    let (ms, t_map_lidars, keyframes) = pool.install(|| -> Result<_, Failure> {
         let (mut ms, mut poses, mut keyframes) = (vec![], BTreeMap::new(), vec![]);
         for (number, frame) in recording.frames(None).enumerate().filter(|(n, _)| n % every.max(1) == 0) {
             let frame = frame?;
@@ -58,7 +59,7 @@ fn main() -> Result<(), Failure> {
             let report = pipeline.process(&frame)?;
             if is_cloud {
                 ms.push(processor_ms() - before);
-                poses.extend(report.pose.map(|p| (number, p.t_map_base)));
+                poses.extend(report.pose.map(|p| (number, p.t_map_base * t_base_lidar)));
             }
             keyframes.extend(report.keyframe.map(|k| (k.info.t_map_base, k.scan)));
         }
@@ -109,7 +110,7 @@ fn main() -> Result<(), Failure> {
     println!("  goals on the way: {reasons:?}");
     let labels = labels(Path::new(path.as_str()))?;
     if !labels.is_empty() {
-        for (class, (shown, all, missed)) in shown(&grid, &labels, &t_map_frames, &way) {
+        for (class, (shown, all, missed)) in shown(&grid, &labels, &t_map_lidars, &way) {
             println!(
                 "  {class}: {shown} of {all} shown{}",
                 if missed.is_empty() { String::new() } else { format!(", not {missed:?}") }
@@ -122,16 +123,16 @@ fn main() -> Result<(), Failure> {
     let mut counts = BTreeMap::<&str, usize>::new();
     objects.iter().for_each(|(_, class)| *counts.entry(class).or_default() += 1);
     println!("  objects: {counts:?}");
-    for (class, (found, by_name, all)) in told(&objects, &labels, &t_map_frames, &way) {
+    for (class, (found, by_name, all)) in told(&objects, &labels, &t_map_lidars, &way) {
         println!("  {class}: {found} of {all} among them, {by_name} by that name");
     }
     let mut points = cells::Points::default();
     for (number, frame) in recording.frames(None).enumerate() {
-        if let (SensorData::Cloud(cloud), Some(t)) = (frame?.data, t_map_frames.get(&number)) {
+        if let (SensorData::Cloud(cloud), Some(t)) = (frame?.data, t_map_lidars.get(&number)) {
             points.add(number, t, &cloud.positions);
         }
     }
-    cells::judge(&grid, &points, &labels, &t_map_frames, &way);
+    cells::judge(&grid, &points, &labels, &t_map_lidars, &way);
     if let Some(out) = after("--out") {
         picture(&grid, &way, Path::new(out))?;
     }

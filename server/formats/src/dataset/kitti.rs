@@ -4,11 +4,16 @@
 //! `times*.txt` for file number `n`, or `n / 10` s. Truth is row `n` of `poses*.txt`: with a calibration that
 //! has the odometry benchmark's line `Tr:`, the poses are camera 0's and turned to the lidar's by
 //! `inv(Tr) * P * Tr`; otherwise, or if the file's name says gicp, lidar or velo, they are the lidar's already.
+//!
+//! Scans in a folder of that car's (`velodyne`) are its lidar's: 1.73 m above the road, which is base's height, and of
+//! 120 m (Geiger, Lenz, Stiller, Urtasun, "Vision meets robotics: The KITTI dataset", 2013, section II and figure 3). Of
+//! `*.bin` in any folder nobody knows where it stood: the lidar is base.
 
 use super::clouds::CloudLoader;
 use super::files::{Folder, name, stem_number};
 use super::{Dataset, DatasetKind, OpenOptions};
 use crate::{FormatError, Limits, kitti, trajectory};
+use nalgebra::Vector3;
 use percept_geometry::{Pose, Stamped, Timestamp};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,11 +21,19 @@ use std::sync::Arc;
 
 /// The scanner's rate.
 const PERIOD_NS: i64 = 100_000_000;
+/// Height of the car's lidar above the road, and how far it sees, metres.
+const CAR_LIDAR_M: f64 = 1.73;
+const CAR_RANGE_M: f64 = 120.0;
 
 pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Dataset>, FormatError> {
-    let Some(files) = scans(folder)? else {
+    let Some((files, is_of_the_car)) = scans(folder)? else {
         return Ok(None);
     };
+    let mut lidar = CloudLoader::spec();
+    if is_of_the_car {
+        lidar.t_base_sensor = Pose::from(Vector3::z() * CAR_LIDAR_M);
+        lidar.range_max_m = Some(CAR_RANGE_M);
+    }
     let numbers: Vec<usize> = files
         .iter()
         .enumerate()
@@ -30,13 +43,17 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
     let stamps = stamps(folder, &numbers, &options.limits)?;
     let poses_path = poses_path(folder);
     let reference = match &poses_path {
-        Some(path) => Some(reference(folder, path, &numbers, &stamps, &options.limits)?),
+        Some(path) => {
+            let to_base = |lidar_moved: Pose| lidar.t_base_sensor * lidar_moved * lidar.t_base_sensor.inverse();
+            let moved = reference(folder, path, &numbers, &stamps, &options.limits)?;
+            Some(moved.into_iter().map(|m| Stamped { stamp: m.stamp, value: to_base(m.value) }).collect())
+        }
         None => None,
     };
     Ok(Some(Dataset {
         name: folder.name(),
         kind: DatasetKind::Kitti,
-        sensors: vec![CloudLoader::spec()],
+        sensors: vec![lidar],
         reference_source: poses_path.filter(|_| reference.is_some()).map(|p| name(&p)),
         reference,
         relations: None,
@@ -50,10 +67,11 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
     }))
 }
 
-/// `velodyne/*`, `velodyne_points/data/*`, or `*.bin` in the folder itself.
-fn scans(folder: &Folder) -> Result<Option<Vec<PathBuf>>, FormatError> {
+/// `velodyne/*`, `velodyne_points/data/*`, which are the car's, or `*.bin` in the folder itself.
+fn scans(folder: &Folder) -> Result<Option<(Vec<PathBuf>, bool)>, FormatError> {
     let inner = ["velodyne", "velodyne_points/data"].map(|inner| folder.path.join(inner));
-    let files = match inner.iter().find(|path| path.is_dir()) {
+    let inner = inner.iter().find(|path| path.is_dir());
+    let files = match inner {
         Some(path) => {
             let inner = Folder::list(path)?;
             let bins = inner.with_extension(&["bin"]);
@@ -61,7 +79,7 @@ fn scans(folder: &Folder) -> Result<Option<Vec<PathBuf>>, FormatError> {
         }
         None => folder.with_extension(&["bin"]),
     };
-    Ok((!files.is_empty()).then_some(files))
+    Ok((!files.is_empty()).then_some((files, inner.is_some())))
 }
 
 fn stamps(folder: &Folder, numbers: &[usize], limits: &Limits) -> Result<Vec<Timestamp>, FormatError> {
@@ -85,6 +103,7 @@ fn poses_path(folder: &Folder) -> Option<PathBuf> {
     folder.named("poses", ".txt").map(Path::to_owned)
 }
 
+/// Poses of the lidar in its first frame.
 fn reference(
     folder: &Folder,
     path: &Path,

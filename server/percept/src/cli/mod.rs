@@ -110,8 +110,27 @@ struct ConfigArgs {
     check: Option<PathBuf>,
 }
 
+/// Ends the process in silence where nobody reads its output any more, as `percept config | head -1` does: printing panics then,
+/// since signals of broken pipes are ignored for the sake of sockets.
+fn end_with_reader() {
+    let otherwise = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        let words = info.payload().downcast_ref::<String>().map_or("", String::as_str);
+        if words.starts_with("failed printing to stdout") && words.contains("Broken pipe") {
+            std::process::exit(0);
+        }
+        otherwise(info);
+    }));
+}
+
+/// Whether what failed was to write where nobody reads any more.
+fn is_of_closed_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
 /// Runs the command line of this process.
 pub(crate) fn run() -> ExitCode {
+    end_with_reader();
     let cli = Cli::parse();
     let outcome = match cli.command {
         Command::Serve(args) => serve::run(args),
@@ -136,6 +155,7 @@ pub(crate) fn run() -> ExitCode {
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
+        Err(e) if is_of_closed_pipe(e.as_ref()) => ExitCode::SUCCESS,
         Err(e) => {
             let of_server = || client::lost(e.as_ref()).or_else(|| client::refused(e.as_ref()));
             eprintln!("percept: {}", of_server().unwrap_or_else(|| with_causes(e.as_ref())));

@@ -212,6 +212,8 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
         Some(file) => crate::config::Config::load(Some(file))?.params,
         None => PipelineParams::default(),
     };
+    let preset = params.preset.chosen(&recording.sensors);
+    let params = params.for_preset(preset);
     let pool = super::compute_pool(args.threads, 0)?;
     let bar = super::progress(part(args, recording).len() as u64, "replay");
     let primary = primary(recording).map(|s| s.id.clone());

@@ -1,6 +1,10 @@
 //! The map's z axis points up and its floor is z = 0: found from the first keyframe, and from gravity where an IMU was
 //! at rest.
 //!
+//! An IMU may be mounted otherwise than declared, which shows once the robot turns: too late for a map that was levelled by it.
+//! Where the floor is seen where base was declared to stand on it, two agree against the IMU, which then has to be steeper
+//! than ramps are to be disbelieved.
+//!
 //! A base whose origin is on the floor (as on most robots) keeps its frame. A handheld camera, or a lidar
 //! whose mount was not declared, gets the tilt and height of the floor that it sees.
 
@@ -15,6 +19,10 @@ const BELIEVED_TILT: f64 = 0.02;
 const BELIEVED_HEIGHT: f64 = 0.05;
 /// A floor is this level, radians; where gravity is known, what is steeper is a ramp or no floor.
 const MAX_SLOPE: f64 = 0.1;
+/// Robots do not start on ramps that are steeper, radians (11 degrees): those of garages reach 15 to 20 %, of buildings 6 to 8.
+const STEEPEST_RAMP: f64 = 0.2;
+/// A floor that is as near to where base was declared to stand is the one that it stands on, metres.
+const STANDS: f64 = 0.1;
 /// A floor holds at least this share of the scan.
 const MIN_SHARE: f64 = 0.05;
 
@@ -34,11 +42,17 @@ pub(crate) fn level(scan: &KeyframeScan, gravity_up: Option<Unit<Vector3<f64>>>)
     if scan.planar {
         return as_declared;
     }
+    let gravity_up = gravity_up.filter(|up| up.angle(&Vector3::z_axis()) <= STEEPEST_RAMP || !stands_as_declared(scan));
     match (floor(scan, gravity_up), gravity_up) {
         (Some((up, height)), _) => standing(up, height),
         (None, Some(up)) => by_gravity(up),
         (None, None) => as_declared,
     }
+}
+
+/// Whether the scan shows the floor where base was declared to stand on it.
+fn stands_as_declared(scan: &KeyframeScan) -> bool {
+    floor(scan, None).is_some_and(|(up, height)| up.angle(&Vector3::z_axis()) < MAX_SLOPE && height.abs() < STANDS)
 }
 
 /// The level by what an IMU at rest measured alone (`up` in base): the height stays as declared.
@@ -51,7 +65,9 @@ fn standing(up: Unit<Vector3<f64>>, height: f64) -> Level {
     if up.angle(&Vector3::z_axis()) < BELIEVED_TILT && height.abs() < BELIEVED_HEIGHT {
         return Level { t_map_base: Pose::identity(), base_height_m: 0.0 };
     }
-    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z_axis()).unwrap_or_default();
+    // Upside down is half a turn, about any level axis.
+    let over = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let rotation = UnitQuaternion::rotation_between(&up, &Vector3::z_axis()).unwrap_or_else(over);
     // Undo the turn about z that the shortest rotation brings along.
     let forward = rotation * Vector3::x();
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -forward.y.atan2(forward.x));
@@ -121,6 +137,21 @@ mod tests {
         let straight =
             seen(patch(Vector3::new(3.0, 0.0, 0.0), Vector3::y(), Vector3::z(), &UnitQuaternion::identity()));
         assert_eq!(level(&straight, Some(Vector3::z_axis())).t_map_base, Pose::identity());
+    }
+
+    /// The IMU of a robot that stands on the floor which it sees hangs otherwise than declared. A handheld sensor is as it is.
+    #[test]
+    fn gravity_that_a_floor_under_base_contradicts_is_not_believed() {
+        let upright = UnitQuaternion::identity();
+        let floor = |z: f64| seen(patch(Vector3::new(0.0, 0.0, z), Vector3::x(), Vector3::y(), &upright));
+        let up =
+            |pitch: f64| Some(Unit::new_normalize(UnitQuaternion::from_euler_angles(0.0, pitch, 0.0) * Vector3::z()));
+        for pitch in [0.3, 1.5, std::f64::consts::PI] {
+            assert_eq!(level(&floor(0.0), up(pitch)).t_map_base, Pose::identity(), "{pitch}");
+            assert!(level(&floor(-1.3), up(pitch)).t_map_base.rotation.angle() > 0.29, "{pitch}");
+        }
+        // A robot on a ramp.
+        assert!((level(&floor(0.0), up(0.15)).t_map_base.rotation.angle() - 0.15).abs() < 1e-6);
     }
 
     #[test]

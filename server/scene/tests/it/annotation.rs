@@ -118,6 +118,29 @@ fn a_thing_that_is_two_stays_two() {
 }
 
 #[test]
+fn what_was_split_is_one_again_when_it_is_restored() {
+    let mut t = room();
+    let half = |x: f64| OrientedBox3::upright(Point3::new(x, 2.0, 0.4), Vector3::new(0.8, 0.8, 0.8), 0.0);
+    let before = ids(&t);
+    t.annotate(ObjectId(1), Correction::Split(vec![half(3.6), half(4.4)])).unwrap();
+    // A piece that was split itself, and one that another thing was made a part of.
+    t.annotate(ObjectId(2), Correction::Split(vec![half(3.4), half(3.8)])).unwrap();
+    t.annotate(ObjectId(0), Correction::PartOf(ObjectId(3))).unwrap();
+    let mut t = restored(&t);
+    let changes = t.annotate(ObjectId(1), Correction::Restore).unwrap();
+    assert_eq!(changes.iter().map(|c| c.id.0).collect::<Vec<_>>(), [1, 3, 4, 5]);
+    assert_eq!(ids(&t), before);
+    for i in 5..10 {
+        see(&mut t, i, i + 1);
+    }
+    assert_eq!(ids(&t), before);
+    // Deleting it and bringing it back afterwards is as ever.
+    t.annotate(ObjectId(1), Correction::Delete).unwrap();
+    t.annotate(ObjectId(1), Correction::Restore).unwrap();
+    assert_eq!(ids(&t), before);
+}
+
+#[test]
 fn what_cannot_be_is_refused_and_nothing_changes() {
     let mut t = room();
     let (zero, one) = (ObjectId(0), ObjectId(1));

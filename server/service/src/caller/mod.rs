@@ -235,6 +235,22 @@ impl Caller {
     }
 }
 
+impl Caller {
+    /// What is said to one who may create sessions of some names, and gave none.
+    fn unnamed(&self, refused: Error) -> Error {
+        let grants = self.context.principal.grants.iter().filter(|g| g.access >= percept_identity::Access::Write);
+        let names: Vec<&str> = grants.map(|g| g.sessions.as_str()).collect();
+        if names.is_empty() || refused.reason != reason::PERMISSION_DENIED {
+            return refused;
+        }
+        let words = format!(
+            "no session_id is given, and this key is for sessions of some names: give one of {}",
+            names.join(", ")
+        );
+        Error { message: words, ..refused }
+    }
+}
+
 fn denied(rule: &Rule, session: &str) -> Error {
     let words = match rule.about {
         About::Session => {

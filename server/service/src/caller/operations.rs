@@ -43,9 +43,10 @@ impl Caller {
     /// Bad ids or parameters, `SESSION_EXISTS`, limits.
     pub async fn create_session(&self, mut new: NewSession) -> Result<String> {
         const NAME: &str = "SessionsService/CreateSession";
+        let is_named = new.id.is_some();
         let id = new.id.take().unwrap_or_else(crate::ops::sessions::fresh_id);
         check_id("session_id", &id)?;
-        self.anew(NAME, &id)?;
+        self.anew(NAME, &id).map_err(|e| if is_named { e } else { self.unnamed(e) })?;
         new.id = Some(id.clone());
         let act = Act::begin(&self.context, NAME, &id);
         let created = self.service.create_session(&self.context.principal.tenant, new).await;

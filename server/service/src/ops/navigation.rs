@@ -217,9 +217,15 @@ fn near(snapshot: &Snapshot, pose: &PoseEstimate) -> Vec<Object> {
     snapshot.objects.iter().filter(is_near).cloned().collect()
 }
 
-/// Where the robot is and looks, if it knows: map frame, metres, radians.
+/// Where the robot is and looks, if it knows: map frame, metres, radians. A pose that nothing measured is known of the very first
+/// frame, which the map begins with; later it is where the robot was before the server stopped, or a guess.
 pub(super) fn known_pose(snapshot: &Snapshot) -> Option<(Point2<f64>, f64)> {
-    let is_known = |p: &&PoseEstimate| !matches!(p.state, TrackingState::Lost { .. }) && p.scale.is_metric();
+    let is_placed = |p: &&PoseEstimate| match p.state {
+        TrackingState::Tracking => true,
+        TrackingState::Initialising => snapshot.trajectory().nth(1).is_none(),
+        TrackingState::Lost { .. } => false,
+    };
+    let is_known = |p: &&PoseEstimate| is_placed(p) && p.scale.is_metric();
     let pose = snapshot.pose.as_ref().filter(is_known)?;
     Some((pose.t_map_base.translation.vector.xy().into(), se3::yaw(&pose.t_map_base)))
 }
@@ -358,7 +364,7 @@ pub fn words_of_no_start(why: NoStart) -> &'static str {
 /// Why there is no path, in words; none: no start was given and the robot does not know where it is.
 pub fn words_of(reason: Option<NoPathReason>) -> &'static str {
     match reason {
-        None => "no start was given and the robot does not know where it is",
+        None => "no start was given and the robot does not know where it is; let it send frames, or give a start",
         Some(NoPathReason::StartOutsideMap) => "the start lies outside of what was mapped",
         Some(NoPathReason::StartOccupied) => "the start is in an obstacle",
         Some(NoPathReason::StartDoesNotFit) => "the start is free, but nearer to an obstacle than the robot needs",

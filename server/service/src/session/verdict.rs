@@ -348,15 +348,17 @@ impl fmt::Display for StreamTrouble {
 fn wheels_words(f: &mut fmt::Formatter<'_>, fault: &WheelsFault) -> fmt::Result {
     match fault {
         WheelsFault::Way { factor } if *factor < 0.0 => f.write_str(
-            "it drives the other way than the pose sensor sees; turn its sign, or the frame that it is told in",
+            "it drives the other way than the pose sensor sees; turn its sign, or the frame that it is told in, or the mount of \
+             that sensor, if that looks backwards",
         ),
         WheelsFault::Way { factor } => write!(
             f,
-            "it tells {factor:.2} times the way that the pose sensor sees; check the wheels' diameter and gear, and whether they \
-             slip"
+            "it tells {factor:.2} times the way that the pose sensor sees; check the wheels' diameter and gear, whether they slip, \
+             and whether that sensor's mount is level"
         ),
         WheelsFault::Turns { factor } if *factor < 0.0 => f.write_str(
-            "it turns the other way than the pose sensor sees; angles grow counter-clockwise, seen from above",
+            "it turns the other way than the pose sensor sees; angles grow counter-clockwise, seen from above; or the mount of \
+             that sensor is wrong, if it hangs upside down",
         ),
         WheelsFault::Turns { factor } => write!(
             f,

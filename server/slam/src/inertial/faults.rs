@@ -31,6 +31,10 @@ const PROVEN: (usize, f64) = (10, 0.25);
 /// 0.5 rad or more: what is worth telling is well below either.
 const ALIKE: f64 = 0.9;
 const TELLING: (f64, f64) = (0.2, 0.1);
+/// Turns that agree so well once they are turned by so much, radians, are those of an IMU that hangs otherwise than declared, even
+/// if they are not off by [`WRONG`]: a clock that is off by a frame leaves a correlation of 0.95. Mounts are declared to a few
+/// degrees.
+const SKEWED: (f64, f64) = (0.98, 0.2);
 /// The second axis has to have so much of the turning of the first one, or only that one is known. These are squares:
 /// the turns are 0.22 of those about the first, and errors of frames, 5 %, make 0.0025.
 const SECOND_AXIS: f64 = 0.05;
@@ -170,11 +174,12 @@ impl ImuCheck {
 
 impl Turns {
     fn fault(&self) -> Option<ImuFault> {
-        if self.num < ENOUGH || self.off <= WRONG * WRONG * self.placed.max(0.1 * self.felt) {
+        if self.num < ENOUGH {
             return None;
         }
+        let is_off = self.off > WRONG * WRONG * self.placed.max(0.1 * self.felt);
         let factor = (self.felt / self.placed.max(1e-12)).sqrt();
-        if factor < TELLING.0 {
+        if is_off && factor < TELLING.0 {
             return Some(ImuFault::TurnsScaled { factor });
         }
         let svd = self.product.svd(true, true);
@@ -182,6 +187,9 @@ impl Turns {
         let hand = (u * v_t).determinant().signum();
         let s = svd.singular_values;
         let agreement = (s[0] + s[1] + hand * s[2]) / (self.placed * self.felt).sqrt().max(1e-12);
+        if !is_off && (agreement < SKEWED.0 || (factor - 1.0).abs() > TELLING.0) {
+            return None;
+        }
         if agreement < ALIKE {
             return Some(ImuFault::TurnsUnlike { agreement: self.product.trace() / (self.placed * self.felt).sqrt() });
         }
@@ -195,7 +203,8 @@ impl Turns {
             about_one_axis(&v_t.row(0).transpose(), &u.column(0).into_owned())
         };
         let angle_rad = turn.norm();
-        (angle_rad > TELLING.1).then(|| ImuFault::TurnsAboutOtherAxes { angle_rad, axis: turn / angle_rad })
+        (angle_rad > if is_off { TELLING.1 } else { SKEWED.1 })
+            .then(|| ImuFault::TurnsAboutOtherAxes { angle_rad, axis: turn / angle_rad })
     }
 }
 
@@ -223,6 +232,19 @@ mod tests {
         let faults = check.faults();
         assert!(faults.len() <= 1);
         faults.first().copied()
+    }
+
+    /// Too little for a frame to be predicted badly, and enough for a map that is levelled by it.
+    #[test]
+    fn a_mount_that_is_off_by_twenty_degrees_is_told() {
+        let skewed = UnitQuaternion::from_scaled_axis(Vector3::y() * 0.35);
+        for placed in [hand as fn(f64) -> Vector3<f64>, cart] {
+            let found = fault(placed, |turn| skewed * turn);
+            let Some(ImuFault::TurnsAboutOtherAxes { angle_rad, .. }) = found else { panic!("{found:?}") };
+            assert!((angle_rad - 0.35).abs() < 0.01, "{angle_rad}");
+            let slightly = UnitQuaternion::from_scaled_axis(Vector3::x() * 0.1);
+            assert_eq!(fault(placed, |turn| slightly * turn), None);
+        }
     }
 
     fn hand(i: f64) -> Vector3<f64> {

@@ -7,7 +7,7 @@ use super::settings::Robot;
 use percept_geometry::{Pose, SensorId, SensorKind, SensorSpec};
 use percept_ros::FrameTree;
 use percept_ros::topics::{self, Content, Topic};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// Others that say the same, and what goes with a topic, have this time to be heard.
@@ -30,6 +30,8 @@ pub(super) enum Standing {
     ColorOf(String),
     /// It is not used; why.
     Left(String),
+    /// It is not used before its calibration has come.
+    Uncalibrated,
 }
 
 /// A topic, and since when it is heard: time since the robot was found.
@@ -45,8 +47,17 @@ pub(super) struct Heard {
 pub(super) enum Decision {
     /// A topic is a sensor's; what had to be supposed.
     Take { topic: String, spec: Box<SensorSpec>, color: Option<String>, supposed: Option<String> },
-    /// A topic is left, and need not be listened to.
-    Leave { topic: String, why: String },
+    /// A topic is left, and need not be listened to; what has to come for it to be looked at again is its calibration.
+    Leave { topic: String, why: String, lacks_calibration: bool },
+}
+
+/// What a robot hangs on.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Root {
+    /// Its frame.
+    pub(super) frame: String,
+    /// Where the robot is in it, if it stays there.
+    pub(super) t_root_base: Option<Pose>,
 }
 
 /// The topics of one robot.
@@ -54,6 +65,8 @@ pub(super) enum Decision {
 pub(super) struct Book {
     pub(super) topics: BTreeMap<String, Heard>,
     pub(super) frames: FrameTree,
+    /// Frames that are told of as they move.
+    moving: BTreeSet<String>,
     /// Whether transforms tell where the robot is in its odometry's frame.
     has_odometry_transform: bool,
 }
@@ -98,6 +111,47 @@ impl Book {
         }
     }
 
+    /// The topics that were left for want of a calibration which is there now: they are to be listened to again.
+    pub(super) fn calibrated(&mut self) -> Vec<String> {
+        let waits = |h: &&Heard| h.standing == Standing::Uncalibrated;
+        let is_there = |h: &&Heard| topics::calibration(self.told(), &h.topic).is_some();
+        let found = self.topics.values().filter(waits).filter(is_there).map(|h| h.topic.name.clone());
+        let found: Vec<String> = found.collect();
+        for name in &found {
+            if let Some(heard) = self.topics.get_mut(name) {
+                (heard.standing, heard.since) = (Standing::Open, None);
+            }
+        }
+        found
+    }
+
+    /// Notes that frames move, or may.
+    pub(super) fn note_moving<'f>(&mut self, frames: impl Iterator<Item = &'f str>) {
+        for frame in frames.map(|f| f.trim_start_matches('/')) {
+            if !self.moving.contains(frame) && self.moving.len() < MAX_TOPICS {
+                self.moving.insert(frame.to_owned());
+            }
+        }
+    }
+
+    /// What the robot hangs on in the tree of transforms, below the map: the frame that its odometry counts in, whatever that
+    /// is called, and whether it stays where the robot is. None: nothing is above the robot.
+    pub(super) fn root(&self, robot: &Robot) -> Option<Root> {
+        let base = self.base(robot)?;
+        let above = self.frames.above(&base);
+        let below_map = above.iter().take_while(|frame| **frame != robot.map_frame);
+        let root = above.iter().find(|frame| **frame == robot.odom_frame).or(below_map.last())?;
+        let mut between = [base.as_str()].into_iter().chain(above.iter().copied().take_while(|frame| frame != root));
+        let t_root_base = self.frames.t_a_b(root, &base).filter(|_| !between.any(|frame| self.moving.contains(frame)));
+        Some(Root { frame: (*root).to_owned(), t_root_base })
+    }
+
+    /// Whether the robot hangs on this frame.
+    pub(super) fn hangs_on(&self, robot: &Robot, frame: &str) -> bool {
+        frame == robot.odom_frame
+            || self.base(robot).is_some_and(|base| base == frame || is_above(&self.frames, frame, &base))
+    }
+
     /// The robot's own frame, if it is known.
     pub(super) fn base(&self, robot: &Robot) -> Option<String> {
         if !robot.base_frame.is_empty() {
@@ -107,7 +161,9 @@ impl Book {
             let mut odometry = self.topics.values().filter(|h| h.topic.content == Content::Odometry);
             odometry.find(|h| !h.topic.child_frame_id.is_empty()).map(|h| h.topic.child_frame_id.clone())
         };
-        topics::usual_base(&self.frames).map(str::to_owned).or_else(of_odometry)
+        let prefixed = || ["base_link", "base_footprint"].into_iter().find_map(|name| self.frames.prefixed(name));
+        let usual = topics::usual_base(&self.frames).map(str::to_owned);
+        usual.or_else(of_odometry).or_else(|| prefixed().map(str::to_owned))
     }
 
     /// Decides what can be decided at `now`.
@@ -136,6 +192,7 @@ impl Book {
                     }
                     Standing::Taken(spec.id.clone())
                 }
+                Decision::Leave { lacks_calibration: true, .. } => Standing::Uncalibrated,
                 Decision::Leave { why, .. } => Standing::Left(why.clone()),
             };
             if let Some(heard) = self.topics.get_mut(&name) {
@@ -156,7 +213,7 @@ impl Book {
 
     /// None: it is waited for more.
     fn decision(&self, robot: &Robot, topic: &Topic, is_late: bool) -> Option<Decision> {
-        let leave = |why: String| Some(Decision::Leave { topic: topic.name.clone(), why });
+        let leave = |why: String| Some(Decision::Leave { topic: topic.name.clone(), why, lacks_calibration: false });
         let base = self.base(robot);
         let is_named = robot.names(&topic.name);
         if let Some(base) = base.as_deref()
@@ -192,7 +249,9 @@ impl Book {
         }
         let intrinsics = if topic.content.is_image() { topics::calibration(self.told(), topic) } else { None };
         if topic.content.is_image() && intrinsics.is_none() {
-            return if is_late { leave("there is no camera_info of its size beside it".to_owned()) } else { None };
+            let why = "there is no camera_info of its size beside it".to_owned();
+            let waits = Decision::Leave { topic: topic.name.clone(), why, lacks_calibration: true };
+            return is_late.then_some(waits);
         }
         let kind = topic.content.kind(color.is_some());
         let (t_base_sensor, supposed) = if topic.content == Content::Odometry {

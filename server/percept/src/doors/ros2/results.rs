@@ -4,6 +4,7 @@
 //! `objects` (markers), `detections`, `plan` (to the last `goal_pose`). What somebody else publishes already is left to them.
 
 use super::super::zenoh::Failure;
+use super::book::Root;
 use super::link::{Entities, Found, Manner, Node, Topic};
 use super::motion::Motion;
 use super::robot::lock;
@@ -56,6 +57,8 @@ pub(super) struct Known {
     tf_topic: Option<String>,
     /// The robot's own frame.
     pub(super) base: Option<String>,
+    /// What that hangs on.
+    pub(super) root: Option<Root>,
     /// Whether the robot is on ROS 2 Humble, whose types have no hashes.
     is_unhashed: bool,
     /// Whether somebody else publishes the map.
@@ -206,10 +209,20 @@ impl<'a> Results<'a> {
             let covariance = pose_covariance(&pose.t_map_base, &pose.covariance);
             let with = PoseWithCovariance { pose: pose_message(&pose.t_map_base), covariance };
             topics.pose.send(&PoseWithCovarianceStamped { header, pose: with }, now_ns()).await?;
-            if t_odom_base.is_none() {
-                let base = self.shared.lock().base.clone().unwrap_or_else(|| "base_link".to_owned());
-                if self.t_map_odom.is_none() {
-                    self.send_transform(topics, pose.stamp, &base, &pose.t_map_base).await?;
+            // A frame has one parent: what hangs on another is placed by that.
+            if t_odom_base.is_none() && self.t_map_odom.is_none() {
+                let (base, root) = {
+                    let known = self.shared.lock();
+                    (known.base.clone().unwrap_or_else(|| "base_link".to_owned()), known.root.clone())
+                };
+                match root {
+                    None => self.send_transform(topics, pose.stamp, &base, &pose.t_map_base).await?,
+                    Some(Root { frame, t_root_base: Some(t_root_base) }) => {
+                        let t_map_root = pose.t_map_base * t_root_base.inverse();
+                        self.send_transform(topics, pose.stamp, &frame, &t_map_root).await?;
+                    }
+                    // Its motion has not been heard yet.
+                    Some(_) => {}
                 }
             }
         }
@@ -224,7 +237,8 @@ impl<'a> Results<'a> {
             return Ok(());
         };
         self.published = Some(stamp);
-        let odom = self.robot.odom_frame.clone();
+        let root = self.shared.lock().root.clone();
+        let odom = root.map_or_else(|| self.robot.odom_frame.clone(), |root| root.frame);
         self.send_transform(topics, stamp, &odom, &t_map_odom).await
     }
 
@@ -239,9 +253,8 @@ impl<'a> Results<'a> {
             if self.caller.faults().admit(&format!("ros2 tf of {}", self.robot.session)).is_some() {
                 tracing::warn!(
                     session = self.robot.session,
-                    "somebody else publishes the transform from {} to {}: it is left to them",
+                    "somebody else publishes the transform from {} to {child}: it is left to them",
                     self.robot.map_frame,
-                    self.robot.odom_frame
                 );
             }
             return Ok(());

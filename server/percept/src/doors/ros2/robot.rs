@@ -21,7 +21,7 @@ use percept_ros::topics::Content;
 use percept_ros::{DecodeError, Message, Wire, convert};
 use percept_service::{Caller, Error, IncomingFrame, NewSession, OverloadPolicy, SensorDeclaration, observe, reason};
 use std::any::Any;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
@@ -35,6 +35,9 @@ const LOOK: Duration = Duration::from_millis(250);
 const TOKENS: usize = 256;
 /// Odometry by transforms is only taken when no topic of odometry has come by then.
 const NO_ODOMETRY: Duration = Duration::from_secs(3);
+/// So long stamps of 0 may be those of a simulation whose clock has not begun; of one that sends no others the time of sending
+/// is taken.
+const NO_CLOCK: Duration = Duration::from_secs(10);
 /// The topic on which RViz says where to go.
 const GOAL: &str = "goal_pose";
 
@@ -49,6 +52,8 @@ pub(super) struct Listener<'a> {
     book: Book,
     /// Alive as long as they are wanted, by topic.
     subscribers: BTreeMap<String, Box<dyn Any + Send + Sync>>,
+    /// All that were subscribed to, by topic.
+    found: BTreeMap<String, Found>,
     /// By the topic of the depth images.
     pairs: BTreeMap<String, Pairs<Half>>,
     /// By topic.
@@ -58,6 +63,44 @@ pub(super) struct Listener<'a> {
     began: Instant,
     is_session_there: bool,
     tf_sensor: Option<SensorId>,
+    clock: Clock,
+    /// Topics whose stamps went back, and that were told so.
+    set_back: BTreeSet<String>,
+}
+
+/// What is known of a robot's clock.
+#[derive(Debug, Clone, Copy)]
+enum Clock {
+    /// No sensor's message had a stamp; the first of those came then.
+    Unset(Option<Instant>),
+    /// Messages have stamps.
+    Set,
+}
+
+impl Clock {
+    /// Takes a message's stamp: whether it can be told when the message was made.
+    fn note(&mut self, stamp_ns: i64) -> Result<(), Error> {
+        if stamp_ns != 0 {
+            *self = Self::Set;
+            return Ok(());
+        }
+        let words = match self {
+            Self::Set => {
+                "the stamp is 0, and the robot's others are not; stamp each message with the robot's clock".to_owned()
+            }
+            Self::Unset(since) => {
+                if since.get_or_insert_with(Instant::now).elapsed() >= NO_CLOCK {
+                    return Ok(());
+                }
+                format!(
+                    "the stamp is 0, as before a simulation's clock has begun; after {} s of such alone the time of sending is \
+                     taken",
+                    NO_CLOCK.as_secs()
+                )
+            }
+        };
+        Err(Error::invalid(reason::STAMP_ZERO, "header.stamp", words))
+    }
 }
 
 impl<'a> Listener<'a> {
@@ -80,12 +123,15 @@ impl<'a> Listener<'a> {
             inbox,
             book: Book::default(),
             subscribers: BTreeMap::new(),
+            found: BTreeMap::new(),
             pairs: BTreeMap::new(),
             numbers: BTreeMap::new(),
             strange: BTreeMap::new(),
             began: Instant::now(),
             is_session_there: false,
             tf_sensor: None,
+            clock: Clock::Unset(None),
+            set_back: BTreeSet::new(),
         };
         let (token, mut tokens) = mpsc::channel(TOKENS);
         let _tokens = zenoh
@@ -111,7 +157,7 @@ impl<'a> Listener<'a> {
                     Some(sample) => this.take(sample).await,
                     None => return Ok(()),
                 },
-                _ = look.tick() => this.decide().await,
+                _ = look.tick() => this.decide().await?,
             }
         }
     }
@@ -139,8 +185,14 @@ impl<'a> Listener<'a> {
             return Ok(());
         }
         tracing::info!(session = self.robot.session, topic = found.topic, kind = found.type_name, "ROS 2 topic found");
+        self.subscribe(&found).await?;
+        self.found.insert(found.topic.clone(), found);
+        Ok(())
+    }
+
+    async fn subscribe(&mut self, found: &Found) -> Result<(), Failure> {
         let (topic, inbox): (Arc<str>, Inbox) = (found.topic.as_str().into(), self.inbox.clone());
-        let subscriber = self.zenoh.declare_subscriber(found.key).allowed_origin(Locality::Remote);
+        let subscriber = self.zenoh.declare_subscriber(found.key.clone()).allowed_origin(Locality::Remote);
         let put = move |sample: zenoh::sample::Sample| inbox.put(&topic, sample);
         let subscriber: Box<dyn Any + Send + Sync> = if found.is_latched {
             let history = HistoryConfig::default().detect_late_publishers();
@@ -148,7 +200,7 @@ impl<'a> Listener<'a> {
         } else {
             Box::new(subscriber.callback(put).await?)
         };
-        self.subscribers.insert(found.topic, subscriber);
+        self.subscribers.insert(found.topic.clone(), subscriber);
         Ok(())
     }
 
@@ -158,18 +210,31 @@ impl<'a> Listener<'a> {
     }
 
     /// Takes what can be taken by now.
-    async fn decide(&mut self) {
+    async fn decide(&mut self) -> Result<(), Failure> {
         if !self.is_session_there && self.book.topics.values().any(|h| h.topic.content.is_sensing()) {
             self.begin_session().await;
         }
         if !self.is_session_there {
-            return;
+            return Ok(());
         }
-        self.shared.lock().base = self.book.base(self.robot);
+        {
+            let mut known = self.shared.lock();
+            (known.base, known.root) = (self.book.base(self.robot), self.book.root(self.robot));
+        }
+        for topic in self.book.calibrated() {
+            let Some(found) = self.found.get(&topic).cloned() else { continue };
+            tracing::info!(
+                session = self.robot.session,
+                topic,
+                "ROS 2 topic is looked at again: its calibration has come"
+            );
+            self.tell(&topic, None).await;
+            self.subscribe(&found).await?;
+        }
         for decision in self.book.decide(self.robot, self.now()) {
             match decision {
                 Decision::Take { topic, spec, color, supposed } => self.declare(topic, *spec, color, supposed).await,
-                Decision::Leave { topic, why } => self.leave(&topic, &why).await,
+                Decision::Leave { topic, why, .. } => self.leave(&topic, &why).await,
             }
         }
         if self.tf_sensor.is_none() && self.now() >= NO_ODOMETRY && self.book.odometry_by_transforms() {
@@ -183,6 +248,7 @@ impl<'a> Listener<'a> {
                 Err(error) => self.warn("tf", &error),
             }
         }
+        Ok(())
     }
 
     async fn begin_session(&mut self) {
@@ -264,12 +330,19 @@ impl<'a> Listener<'a> {
                 // Somebody has deleted it: the robot is still there, and begins another.
                 self.is_session_there = false;
                 self.tf_sensor = None;
+                self.clock = Clock::Unset(None);
+                self.set_back.clear();
                 self.book.begin_anew();
                 return;
             }
             observe::frame_refused(None, error.reason);
             if let Some(Standing::Taken(sensor)) = self.book.topics.get(&*name).map(|h| h.standing.clone()) {
                 self.caller.rejected(&self.robot.session, &sensor, &error).await;
+            }
+            if error.reason == reason::CLOCK_SET_BACK && self.set_back.insert(name.to_string()) {
+                let words = "its stamps went back, as those of a simulation that begins again, or a recording that is played \
+                             again: delete the session, and another begins by itself";
+                self.tell(&name, Some(words.to_owned())).await;
             }
             self.warn(&name, &error);
         }
@@ -293,7 +366,8 @@ impl<'a> Listener<'a> {
         let Some(heard) = self.book.topics.get(name) else { return Ok(()) };
         let (content, standing) = (heard.topic.content.clone(), heard.standing.clone());
         if matches!(standing, Standing::Taken(_) | Standing::ColorOf(_)) {
-            check_frame(&payload.to_bytes(), &heard.topic.frame_id)?;
+            let stamp_ns = checked(&payload.to_bytes(), &heard.topic.frame_id)?;
+            self.clock.note(stamp_ns)?;
         }
         match (content, standing) {
             (Content::Transforms, _) => self.transforms(name, &payload.to_bytes()).await,
@@ -329,7 +403,7 @@ impl<'a> Listener<'a> {
                     _ => Ok(()),
                 }
             }
-            (_, Standing::Beside | Standing::Left(_)) => Ok(()),
+            (_, Standing::Beside | Standing::Left(_) | Standing::Uncalibrated) => Ok(()),
         }
     }
 
@@ -360,17 +434,26 @@ impl<'a> Listener<'a> {
     async fn transforms(&mut self, topic: &str, bytes: &[u8]) -> Result<(), Error> {
         let message = TFMessage::decode(bytes).map_err(no_message)?;
         let taken = self.book.frames.take(&message);
+        if !topic.ends_with("_static") {
+            self.book.note_moving(message.transforms.iter().map(|t| t.child_frame_id));
+        }
         let bare = |frame: &str| frame.trim_start_matches('/').to_owned();
         for t in &message.transforms {
-            if bare(t.header.frame_id) == self.robot.map_frame && bare(t.child_frame_id) == self.robot.odom_frame {
+            if bare(t.header.frame_id) == self.robot.map_frame
+                && self.book.hangs_on(self.robot, &bare(t.child_frame_id))
+            {
                 self.shared.lock().tf_taken = Some(Instant::now());
             }
         }
-        let of_odometry =
-            |t: &&percept_ros::messages::TransformStamped<'_>| bare(t.header.frame_id) == self.robot.odom_frame;
+        let root = self.book.root(self.robot);
+        let odom = root.as_ref().map_or(self.robot.odom_frame.as_str(), |root| root.frame.as_str());
+        let of_odometry = |t: &&percept_ros::messages::TransformStamped<'_>| bare(t.header.frame_id) == odom;
         let base = self.book.base(self.robot);
-        if let Some(t) = message.transforms.iter().find(of_odometry)
-            && let Some(t_odom_base) = base.and_then(|base| self.book.frames.t_a_b(&self.robot.odom_frame, &base))
+        // What stays where the robot is tells nothing of its motion.
+        let moves = root.as_ref().is_none_or(|root| root.t_root_base.is_none() || root.frame == self.robot.odom_frame);
+        if moves
+            && let Some(t) = message.transforms.iter().find(of_odometry)
+            && let Some(t_odom_base) = base.and_then(|base| self.book.frames.t_a_b(odom, &base))
         {
             let stamp = Timestamp::from(t.header.stamp);
             self.book.note_odometry();
@@ -440,11 +523,11 @@ fn no_message(error: DecodeError) -> Error {
     Error::invalid(reason::MESSAGE_INVALID, "", error.to_string())
 }
 
-/// A sensor stays where its first message said: what comes of another frame would be taken to be there.
-fn check_frame(bytes: &[u8], frame: &str) -> Result<(), Error> {
+/// The stamp of a message. A sensor stays where its first message said: what comes of another frame would be taken to be there.
+fn checked(bytes: &[u8], frame: &str) -> Result<i64, Error> {
     let header = Reader::cdr(bytes).and_then(|mut reader| Header::read(&mut reader)).map_err(no_message)?;
     if header.frame_id == frame {
-        return Ok(());
+        return Ok(Timestamp::from(header.stamp).0);
     }
     let words = format!("its frame was {frame:?} and is {:?} now; give each frame a topic of its own", header.frame_id);
     Err(Error::invalid(reason::MESSAGE_INVALID, "header.frame_id", words))
