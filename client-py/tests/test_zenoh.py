@@ -60,6 +60,14 @@ def test_an_endpoint_in_another_form_is_told_how_it_is_written(endpoint):
     assert (error.value.reason, error.value.field) == ("ADDRESS_INVALID", "endpoint")
 
 
+@pytest.mark.parametrize("session_id", ["", "*", "a/b", "x" * 65, None])
+def test_a_session_that_cannot_be_is_refused(session_id):
+    for kind in (pz.SensorPublisher, pz.MapReader):
+        with pytest.raises(InvalidArgument, match="use 1 to 64 characters") as error:
+            kind("tcp/127.0.0.1:1", session_id=session_id)
+        assert (error.value.reason, error.value.field) == ("ID_INVALID", "session_id")
+
+
 def test_queries_are_answered_or_raise_what_the_server_says(peer):
     server, endpoint = peer
     where = map_pb2.GridGeometry(resolution_m=0.1, width=2, height=2)

@@ -312,6 +312,13 @@ def call(site: Site, rpc: str, session: str, kind: str) -> str:
 AUTH_CODES = {grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED}
 
 
+def test_who_may_create_some_sessions_is_told_to_name_one(site):
+    answer = site.http.post("/v1/sessions", json={}, headers=site.headers("right"))
+    assert answer.json()["reason"] == "PERMISSION_DENIED"
+    assert "no session_id is given" in answer.json()["detail"]
+    assert "give one of fleet-*" in answer.json()["detail"]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rpc", RPCS)
 def test_every_rpc_answers_each_kind_of_caller_as_the_table_says(site, rpc, kind):

@@ -352,6 +352,133 @@ def test_a_robot_connects_to_percept(tmp_path):
     assert server.stop() == 0
 
 
+def links(heard) -> set[tuple[str, str]]:
+    """Parents and children in what was heard of transforms."""
+    return {(t.header.frame_id, t.child_frame_id) for m in heard.messages for t in m.transforms}
+
+
+def test_odometry_may_count_in_a_frame_of_any_name_and_base_has_one_parent(tmp_path, router):
+    """Frames of a fleet have prefixes; another node that places odometry in the map is left to do so."""
+    with Robot(router.endpoint) as robot:
+        server = serve(tmp_path, router.endpoint)
+        static = ros2.transform(world.stamp(0), "r1/base_link", "r1/laser", world.LASER.t_base_sensor)
+        robot.publish("/tf_static", ros2.transforms(static), latched=True)
+        tf = robot.subscribe("/tf", "tf2_msgs/msg/TFMessage")
+
+        def send(i: int, *beside) -> None:
+            now = world.stamp(i)
+            here = ros2.transform(now, "r1/odom", "r1/base_link", world.drive(1)[0])
+            robot.publish("/tf", ros2.transforms(here, *beside))
+            robot.publish("/scan", ros2.scan(now, "r1/laser", world.scan(world.drive(1)[0])))
+            time.sleep(0.066)
+
+        with Client(server.grpc) as client:
+            i, end = 0, time.monotonic() + PATIENCE_S
+            while ("map", "r1/odom") not in links(tf):
+                assert time.monotonic() < end, server.tail()
+                send(i)
+                i += 1
+            (laser,) = [s for s in client.session("robot").sensors.list() if s.spec.sensor_id == "scan"]
+            np.testing.assert_allclose(laser.spec.t_base_sensor.translation, [0, 0, world.LASER_HEIGHT_M])
+            assert ("map", "r1/base_link") not in links(tf)
+            # A localiser of the robot's own.
+            theirs = ros2.transform(world.stamp(i), "map", "r1/odom", Pose.from_xyz(9.0, 0.0, 0.0))
+            for k in range(20):
+                send(i + k, theirs)
+            heard = len(tf.messages)
+            for k in range(20, 40):
+                send(i + k, theirs)
+            ours = [t for m in tf.messages[heard:] for t in m.transforms if t.header.frame_id == "map"]
+            assert all(t.transform.translation.x == 9.0 for t in ours), server.tail()
+        assert server.stop() == 0
+
+
+def test_a_camera_may_be_calibrated_late_and_its_colour_be_too_late(tmp_path, router):
+    """A calibration long after the images; colour that is never made when depth is: that is taken alone."""
+    with Robot(router.endpoint) as robot:
+        server = serve(tmp_path, router.endpoint)
+        static = ros2.transform(world.stamp(0), "base_link", "optical", world.CAMERA.t_base_sensor)
+        robot.publish("/tf_static", ros2.transforms(static), latched=True)
+        grey = np.full((world.INTRINSICS.height_px, world.INTRINSICS.width_px, 3), 90, np.uint8)
+        depth = world.depth_image(world.drive(1)[0])
+        i = 0
+
+        def show(*, calibrated: bool) -> None:
+            nonlocal i
+            now = world.stamp(i)
+            if calibrated:
+                for camera in ("depth", "color"):
+                    info = ros2.camera_info(now, "optical", world.INTRINSICS)
+                    robot.publish(f"/camera/{camera}/camera_info", info)
+            robot.publish("/camera/color/image_raw", ros2.image(now + 30_000_000, "optical", grey, "rgb8"))
+            robot.publish("/camera/depth/image_raw", ros2.image(now, "optical", depth, "16UC1"))
+            i += 1
+            time.sleep(0.066)
+
+        with Client(server.grpc) as client:
+            notes = lambda: {n.stream: n.message for n in client.session("robot").info().stream_notes}  # noqa: E731
+            end = time.monotonic() + PATIENCE_S
+            while not (i > 20 and is_known(client) and "/camera/depth/image_raw" in notes()):
+                assert time.monotonic() < end, server.tail()
+                show(calibrated=False)
+            assert "camera_info" in notes()["/camera/depth/image_raw"]
+            end = time.monotonic() + PATIENCE_S
+            while not is_placed(client):
+                assert time.monotonic() < end, server.tail()
+                show(calibrated=True)
+            assert "without colour" in notes()["/camera/depth/image_raw"]
+        assert server.stop() == 0
+
+
+def is_known(client: Client) -> bool:
+    """Whether the robot's session is there."""
+    try:
+        return client.session("robot").info() is not None
+    except NotFound:
+        return False
+
+
+def test_clocks_limits_and_mounts_that_are_not_as_they_should(tmp_path, router):
+    """Stamps of 0 before a simulation's clock begins; a scan without a limit; a mount put right too late."""
+    with Robot(router.endpoint) as robot:
+        server = serve(tmp_path, router.endpoint)
+        describe(robot)
+        at = world.drive(1)[0]
+
+        def send(ns: int) -> None:
+            scan = ros2.scan(ns, "laser_link", world.scan(at))
+            scan.range_max = float("inf")
+            robot.publish("/scan", scan)
+            robot.publish("/odom", ros2.odometry(ns, at))
+            time.sleep(0.066)
+
+        def laser():
+            found = [s for s in client.session("robot").sensors.list() if s.spec.sensor_id == "scan"]
+            return found[0] if found else None
+
+        with Client(server.grpc) as client:
+            end = time.monotonic() + PATIENCE_S
+            while not (is_known(client) and laser() and laser().rejected > 3):
+                assert time.monotonic() < end, server.tail()
+                send(0)
+            assert {r.reason for r in laser().refusals} == {"STAMP_ZERO"}
+            assert client.session("robot").pose() is None
+            i = 0
+            while not is_placed(client):
+                assert i < 300, server.tail()
+                send(world.stamp(i) % 10**12)
+                i += 1
+            assert laser().accepted > 0
+            assert {r.reason for r in laser().refusals} == {"STAMP_ZERO"}
+            # The lidar hangs half a metre ahead after all.
+            moved = Pose.from_xyz(0.5, 0.0, world.LASER_HEIGHT_M)
+            static = ros2.transform(world.stamp(0), "base_link", "laser_link", moved)
+            robot.publish("/tf_static", ros2.transforms(static), latched=True)
+            told = lambda: [n.message for n in client.session("robot").info().stream_notes if n.stream == "/scan"]  # noqa: E731
+            assert eventually(lambda: any("0.50 m" in words for words in told())), server.tail()
+        assert server.stop() == 0
+
+
 def test_settings_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(AssertionError, match=r"ros2\.robots\[0\]\.connect is .*robot:7447.*write tcp/ or udp/"):
         serve(tmp_path, "", 'connect = "robot:7447"')

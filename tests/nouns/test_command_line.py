@@ -221,6 +221,25 @@ def test_questions_about_ground_that_are_none_are_usage_errors(hall, arguments, 
     assert words in failed.stderr
 
 
+@pytest.mark.parametrize("content", [b"", b"no cloud at all"])
+def test_a_file_that_is_none_is_no_recording(tmp_path, content):
+    (tmp_path / "cloud.ply").write_bytes(content)
+    assert "cloud.ply" in percept("info", tmp_path / "cloud.ply", code=1).stderr
+    (tmp_path / "more.ply").write_bytes(content)
+    assert "its first frame cannot be read" in percept("info", tmp_path).stdout
+
+
+@pytest.mark.parametrize("command", [["config"], ["completions", "bash"]])
+def test_a_reader_may_leave_before_the_end(command):
+    """As `percept config | head -1` does."""
+    with subprocess.Popen(
+        [binary(), *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, pipesize=4096
+    ) as process:
+        process.stdout.read(1)
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait(timeout=30)) == (b"", 0)
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_completes_commands(shell):
     script = percept("completions", shell).stdout

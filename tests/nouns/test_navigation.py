@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from percept import (
+    Client,
     GridMap,
     InvalidArgument,
     NoPath,
@@ -110,6 +111,29 @@ def test_no_path_is_an_answer_with_its_reason(laser_session, goal, start, reason
 def test_a_robot_that_does_not_know_where_it_is_needs_a_start(client):
     session = client.sessions.create(sensors=[world.LASER])
     assert session.plan((1.0, 0.0)).reason == "lost"
+
+
+def test_where_the_robot_was_before_a_restart_is_no_start(own_server):
+    """Somebody may have moved it meanwhile. Its first frame is one: the map begins there."""
+    poses = world.drive(12)
+    with Client(own_server.grpc) as client:
+        session = client.sessions.create("kept", sensors=[world.LASER])
+        session.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(poses[0]))
+        assert session.plan((0.3, 0.0))
+        for i, pose in enumerate(poses[1:], start=1):
+            session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+        goal = world.to_map(*poses[4].translation[:2])
+        assert session.plan(goal)
+    own_server.stop()
+    own_server.start()
+    with Client(own_server.grpc) as client:
+        session = client.sessions.get("kept")
+        answer = session.plan(goal)
+        assert (answer.reason, session.plan(goal, start=goal).length_m) == ("lost", 0.0)
+        assert "let it send frames" in answer.detail
+        for i in range(12, 15):
+            session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(poses[-1]))
+        assert session.plan(goal)
 
 
 CAR = [(0.45, 0.2), (-0.25, 0.2), (-0.25, -0.2), (0.45, -0.2)]

@@ -269,6 +269,26 @@ def test_a_mount_beyond_any_robot_is_told(client):
     assert [t.kind for t in status.troubles] == ["mount_far"]
 
 
+def test_a_planar_lidar_that_stands_on_edge_moves_no_pose(client):
+    """A survey robot's: whichever sends first, the level one leads; alone it tells why there is no pose."""
+    half = np.sqrt(0.5)
+    quarter = Pose(translation=np.array([0.0, 0.0, 0.3]), rotation=np.array([half, 0, 0, half]))
+    edge = SensorSpec("edge", kind="lidar2d", t_base_sensor=quarter)
+    both = client.sessions.create(sensors=[edge, world.LASER])
+    alone = client.sessions.create(sensors=[edge])
+    poses = world.drive(30)
+    for i, pose in enumerate(poses):
+        across = world.scan(pose, mount=quarter)
+        both.send_scan("edge", stamp_ns=world.stamp(i), **across)
+        both.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+        alone.send_scan("edge", stamp_ns=world.stamp(i), **across)
+    assert world.position_error_m(both.pose().t_map_base, world.truth_in_map(poses)[-1]) < 0.03
+    assert alone.pose() is None
+    (status,) = alone.sensors.list()
+    assert [t.kind for t in status.troubles] == ["no_pose"]
+    assert "planes are steep" in status.verdict_message
+
+
 def test_every_kind_of_frame_is_taken(client):
     small = CameraIntrinsics(width_px=16, height_px=12, fx_px=15, fy_px=15, cx_px=7.5, cy_px=5.5)
     kinds = ("depth", "rgbd", "camera", "lidar3d", "lidar2d", "imu", "odometry")

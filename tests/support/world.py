@@ -97,9 +97,9 @@ def _shade(points: np.ndarray, block_m: float) -> np.ndarray:
     return 40 + ((mixed >> 9) & 0x7F)
 
 
-def scan(t_world_base: Pose, beams: int = 360) -> dict[str, object]:
+def scan(t_world_base: Pose, beams: int = 360, mount: Pose = LASER.t_base_sensor) -> dict[str, object]:
     """What `send_scan` takes, all around from -pi."""
-    t_world_laser = t_world_base.matrix @ LASER.t_base_sensor.matrix
+    t_world_laser = t_world_base.matrix @ mount.matrix
     angles = -np.pi + np.arange(beams) * 2 * np.pi / beams
     rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(beams)], axis=-1)
     ranges = cast(t_world_laser[:3, 3], rays @ t_world_laser[:3, :3].T)

@@ -85,7 +85,7 @@ class AsyncScene(AsyncSessionBound):
         )[0]
 
     async def restore_object(self, object_id: int) -> Object:
-        """It is a thing of its own after all: it was deleted, split (its pieces go), or made a part of another."""
+        """It is a thing of its own after all: it was deleted, split (its pieces go), or made a part."""
         return (
             await self._transport.call(convert.correct_object(self.session_id, object_id, is_deleted=False))
         )[0]

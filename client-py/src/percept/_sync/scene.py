@@ -84,7 +84,7 @@ class Scene(SessionBound):
         return (self._transport.call(convert.correct_object(self.session_id, object_id, is_deleted=True)))[0]
 
     def restore_object(self, object_id: int) -> Object:
-        """It is a thing of its own after all: it was deleted, split (its pieces go), or made a part of another."""
+        """It is a thing of its own after all: it was deleted, split (its pieces go), or made a part."""
         return (self._transport.call(convert.correct_object(self.session_id, object_id, is_deleted=False)))[0]
 
     def merge_objects(self, object_id: int, into: int) -> tuple[Object, ...]:

@@ -21,6 +21,10 @@ const HEADROOM_M: f64 = 1.2;
 const STEP_M: f64 = 0.25;
 /// Ground of less area than this that hangs on nothing is a piece of furniture, square metres.
 const LEAST_GROUND_M2: f64 = 4.0;
+/// Ground is within this of where robots stood, up or down, metres: ramps between one keyframe and the next, and what a map is off by.
+const NEAR_FLOOR_M: f64 = 0.5;
+/// Where a robot stood there is room around, metres, and one place speaks for so much, too.
+const STOOD_ROOM_M: f64 = 1.0;
 /// A part of the ground is large if it has this share of the largest part.
 const LARGE: f64 = 0.2;
 
@@ -32,6 +36,8 @@ pub struct GivenSpace {
     pub(super) occupied: FxHashMap<Voxel, Vec<u32>>,
     pub(super) points: PointCloud,
     pub(super) open: Open,
+    /// Points of the floor on which robots stood.
+    stood: Vec<Point3<f64>>,
 }
 
 /// What is seen through, a bit a voxel: a beam asks for hundreds of voxels, many in one block.
@@ -85,7 +91,7 @@ impl GivenSpace {
             occupied.entry(voxel).or_default().push(k as u32);
         }
         let open = Open::AllBut(blocks_of(occupied.keys().copied()));
-        Ok(Self { voxel_m, occupied, points, open })
+        Ok(Self { voxel_m, occupied, points, open, stood: vec![] })
     }
 
     /// Voxels that are known to be occupied, and those known to be free.
@@ -99,6 +105,18 @@ impl GivenSpace {
     ) -> Result<Self, MappingError> {
         let centers = occupied.iter().map(|v| v.center(voxel_m).cast::<f32>()).collect();
         Ok(Self { open: Open::Only(blocks_of(free)), ..Self::of_points(PointCloud::from_positions(centers), voxel_m)? })
+    }
+
+    /// The same with points of the floor on which robots stood while they saw it (metres, as the points): ground is at these heights
+    /// alone, and around them also where nothing of it was seen, as by a lidar that hardly looks down.
+    #[must_use]
+    pub fn with_stood(mut self, mut stood: Vec<Point3<f64>>) -> Self {
+        let square = |p: &Point3<f64>| (p.coords * 2.0 / STOOD_ROOM_M).map(|v| v.floor() as i64);
+        stood.retain(|p| p.iter().all(|v| v.is_finite()));
+        stood.sort_by_key(|p| (square(p).x, square(p).y, square(p).z));
+        stood.dedup_by_key(|p| square(p));
+        self.stood = stood;
+        self
     }
 
     /// Voxels known to be free; none if all are that are not occupied.
@@ -157,6 +175,13 @@ impl GivenSpace {
             *heights =
                 (0..heights.len()).filter(|k| has_room(*k) && is_open(heights[*k])).map(|k| heights[k]).collect();
         }
+        let floors = self.floors();
+        if !floors.is_empty() {
+            let near = (NEAR_FLOOR_M / self.voxel_m).ceil() as i32;
+            let is_near =
+                |z: i32| floors.get(floors.partition_point(|f| *f < z - near)).is_some_and(|f| *f <= z + near);
+            columns.values_mut().for_each(|heights| heights.retain(|z| is_near(*z)));
+        }
         let step = (STEP_M / self.voxel_m).ceil() as i32;
         let mut taken: FxHashSet<(Cell, i32)> = FxHashSet::default();
         let mut parts: Vec<Vec<(Cell, i32)>> = vec![];
@@ -195,7 +220,43 @@ impl GivenSpace {
                 part.iter().for_each(|(c, z)| _ = ground.entry(*c).or_insert(*z));
             }
         }
+        self.stood.iter().for_each(|p| self.lay_ground(p, up, &mut ground));
         ground
+    }
+
+    /// Heights on which robots stood, voxels, ascending: of the voxel below.
+    fn floors(&self) -> Vec<i32> {
+        let mut floors: Vec<i32> = self.stood.iter().map(|p| self.below(p)).collect();
+        floors.sort_unstable();
+        floors.dedup();
+        floors
+    }
+
+    fn below(&self, floor: &Point3<f64>) -> i32 {
+        (floor.z / self.voxel_m).round() as i32 - 1
+    }
+
+    /// Ground around where a robot stood, where none is known: as far as nothing stands in between.
+    fn lay_ground(&self, stood: &Point3<f64>, up: i32, ground: &mut Ground) {
+        let z = self.below(stood);
+        let cell = |v: f64| (v / self.voxel_m).floor() as i32;
+        let start = Cell::new(cell(stood.x), cell(stood.y));
+        let reach = (STOOD_ROOM_M / self.voxel_m).ceil() as i32;
+        let is_clear = |c: Cell| (1..=up).all(|k| self.is_open(Voxel::new(c.x, c.y, z + k)));
+        let (mut next, mut seen) = (vec![start], FxHashSet::from_iter([start]));
+        while let Some(at) = next.pop() {
+            if !is_clear(at) {
+                continue;
+            }
+            ground.entry(at).or_insert(z);
+            for (x, y) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+                let beside = Cell::new(at.x + x, at.y + y);
+                let is_far = (beside.x - start.x).abs().max((beside.y - start.y).abs()) > reach;
+                if !is_far && seen.insert(beside) {
+                    next.push(beside);
+                }
+            }
+        }
     }
 
     /// How far from a place the next voxel that is not open is, along the axes and diagonals of the plane, voxels; at most 16.

@@ -251,3 +251,36 @@ fn points_that_are_no_numbers_are_refused() {
     let bad = GivenSpace::of_points(PointCloud::from_positions(vec![]), 0.0);
     assert!(matches!(bad, Err(MappingError::InvalidParam { field: "voxel_size_m", .. })));
 }
+
+/// A room whose floor nobody saw, with a ceiling: as a lidar of few rings that hardly look down brings it home.
+#[test]
+fn where_robots_stood_there_is_a_floor() {
+    let along =
+        |from: f64, to: f64| (0..((to - from) / 0.05) as usize).map(move |i| (from + 0.05 * i as f64 + 0.025) as f32);
+    let mut points = vec![];
+    for a in along(0.0, 6.0) {
+        for b in along(0.2, 2.4) {
+            points.extend([[a, 0.05, b], [a, 6.05, b], [0.05, a, b], [6.05, a, b]].map(nalgebra::Point3::from));
+        }
+        points.extend(along(0.0, 6.0).map(|b| nalgebra::Point3::new(a, b, 2.5)));
+    }
+    let space = GivenSpace::of_points(PointCloud::from_positions(points), 0.1).unwrap();
+    let options = GivenOptions { range_max_m: 10.0, sensor_height_m: 1.0 };
+    let stood: Vec<_> = (0..20).map(|i| nalgebra::Point3::new(1.0 + 0.2 * f64::from(i), 3.0, 0.0)).collect();
+    let bare = views_of_space(&space, &options).map(|v| v.occupied_share);
+    assert!(!bare.as_ref().is_ok_and(|share| *share > 0.9), "{bare:?}");
+    let views = views_of_space(&space.with_stood(stood), &options).unwrap();
+    assert!(views.occupied_share > 0.99, "{}", views.occupied_share);
+    assert!(views.views.iter().all(|v| v.t_map_base.translation.z.abs() < 0.06 && v.t_map_base.translation.x > 0.0));
+    let map = map_of(&views, 0.1);
+    let occupancy = &map.layers().occupancy;
+    let at = |x: f64, y: f64| {
+        let cell = GridGeometry::new(0.1, Point2::origin()).cell(&Point2::new(x, y)).unwrap();
+        occupancy.probability(cell).unwrap_or(0.5)
+    };
+    for i in 5..55 {
+        let a = 0.1 * f64::from(i) + 0.05;
+        assert!([at(a, 0.05), at(0.05, a), at(a, 6.05), at(6.05, a)].iter().all(|p| *p > 0.6), "{a}");
+    }
+    assert!((10..50).all(|i| at(0.1 * f64::from(i) + 0.05, 3.05) < 0.4));
+}

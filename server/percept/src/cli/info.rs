@@ -18,7 +18,15 @@ pub(crate) struct InfoArgs {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
-    let recording = args.ros.open(&args.path, false)?;
+    let mut recording = args.ros.open(&args.path, false)?;
+    // Names tell little of what is in a file.
+    let unread = recording.frames(Some(0..1)).find_map(Result::err);
+    if let Some(error) = unread {
+        if recording.len() == 1 {
+            return Err(error.into());
+        }
+        recording.notes.push(format!("its first frame cannot be read: {error}"));
+    }
     if args.json {
         let sensors = recording.sensors.iter().map(|s| json!({ "id": s.id.0, "kind": kind(s), "at_m": at(s) }));
         let object = json!({

@@ -121,7 +121,8 @@ impl Sensors {
     /// a chosen one that has gone silent: a sensor that was replaced, or declared anew.
     pub(crate) fn is_pose_sensor(&mut self, id: &SensorId, wanted: &str, stamp: Timestamp) -> bool {
         if let Some(chosen) = &self.pose_sensor {
-            if chosen != id && wanted.is_empty() && self.is_silent(chosen, stamp) && self.is_same_kind(chosen, id) {
+            let may_take_over = || self.rank(id).is_some() && self.is_same_kind(chosen, id);
+            if chosen != id && wanted.is_empty() && self.is_silent(chosen, stamp) && may_take_over() {
                 self.pose_sensor = Some(id.clone());
                 return true;
             }
@@ -131,10 +132,9 @@ impl Sensors {
             self.pose_sensor = (id.0 == wanted).then(|| id.clone());
             return id.0 == wanted;
         }
-        let rank = |id: &SensorId| self.entries.get(id).and_then(|e| rank(e.spec.kind));
-        let best = self.entries.keys().filter_map(rank).min();
+        let best = self.entries.keys().filter_map(|id| self.rank(id)).min();
         let waited = stamp.seconds_since(*self.first_frame.get_or_insert(stamp));
-        let chosen = rank(id).is_some() && (rank(id) == best || waited > PATIENCE_S);
+        let chosen = self.rank(id).is_some() && (self.rank(id) == best || waited > PATIENCE_S);
         if chosen {
             self.pose_sensor = Some(id.clone());
         }
@@ -143,6 +143,12 @@ impl Sensors {
 }
 
 impl Sensors {
+    /// How well poses are found by it, lower is better; none where they are not.
+    fn rank(&self, id: &SensorId) -> Option<u8> {
+        let spec = &self.entries.get(id)?.spec;
+        rank(spec.kind).filter(|_| spec.can_move_the_pose())
+    }
+
     /// Whether a sensor has sent nothing for longer than one that is only late.
     fn is_silent(&self, id: &SensorId, now: Timestamp) -> bool {
         let last = self.entries.get(id).and_then(|e| Some(e.last_stamp?.plus_seconds(e.spec.time_offset_s)));

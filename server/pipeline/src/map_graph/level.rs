@@ -23,6 +23,10 @@ const MAX_SLOPE: f64 = 0.1;
 const STEEPEST_RAMP: f64 = 0.2;
 /// A floor that is as near to where base was declared to stand is the one that it stands on, metres.
 const STANDS: f64 = 0.1;
+/// Of a scan that shows how far down things reach: a share lies lower at most, which mirrors and noise make, and a share there at
+/// least: the lowest 0.2 m of walls of 2.5 m are 0.08 of them, seen whole.
+const MOST_BELOW: f64 = 0.005;
+const LEAST_AT_FEET: f64 = 0.01;
 /// A floor holds at least this share of the scan.
 const MIN_SHARE: f64 = 0.05;
 
@@ -50,9 +54,20 @@ pub(crate) fn level(scan: &KeyframeScan, gravity_up: Option<Unit<Vector3<f64>>>)
     }
 }
 
-/// Whether the scan shows the floor where base was declared to stand on it.
+/// Whether the scan shows the floor where base was declared to stand on it; or, by a sensor that was declared to sit above base and
+/// hardly looks down, that what stands around ends there, and nothing lies below.
 fn stands_as_declared(scan: &KeyframeScan) -> bool {
-    floor(scan, None).is_some_and(|(up, height)| up.angle(&Vector3::z_axis()) < MAX_SLOPE && height.abs() < STANDS)
+    let is_level =
+        |(up, height): (Unit<Vector3<f64>>, f64)| up.angle(&Vector3::z_axis()) < MAX_SLOPE && height.abs() < STANDS;
+    if floor(scan, None).is_some_and(is_level) {
+        return true;
+    }
+    let Ok(cloud) = voxel_downsample(&scan.hits, 0.1) else { return false };
+    let share = |holds: fn(f64) -> bool| {
+        cloud.positions.iter().filter(|p| holds(p.z.into())).count() as f64 / cloud.len().max(1) as f64
+    };
+    let is_above = scan.t_base_sensor.translation.z > STANDS;
+    is_above && share(|z| z < -STANDS) < MOST_BELOW && share(|z| z.abs() <= STANDS) > LEAST_AT_FEET
 }
 
 /// The level by what an IMU at rest measured alone (`up` in base): the height stays as declared.
@@ -150,6 +165,14 @@ mod tests {
             assert_eq!(level(&floor(0.0), up(pitch)).t_map_base, Pose::identity(), "{pitch}");
             assert!(level(&floor(-1.3), up(pitch)).t_map_base.rotation.angle() > 0.29, "{pitch}");
         }
+        // A lidar on it that sees walls alone, down to where they end; held in a hand it sees the same, from where base is.
+        let wall = |z: f64| {
+            let mut scan = seen(patch(Vector3::new(3.0, 0.0, z + 1.95), Vector3::y(), Vector3::z(), &upright));
+            scan.t_base_sensor = Pose::translation(0.0, 0.0, 1.2);
+            scan
+        };
+        assert_eq!(level(&wall(0.0), up(0.35)).t_map_base, Pose::identity());
+        assert!(level(&wall(-1.2), up(0.35)).t_map_base.rotation.angle() > 0.34);
         // A robot on a ramp.
         assert!((level(&floor(0.0), up(0.15)).t_map_base.rotation.angle() - 0.15).abs() < 1e-6);
     }

@@ -127,9 +127,11 @@ impl Caller {
                         .await
                         .map_err(|e| e.within(&wanted.field))?;
                 }
+                let stood = caller.service.stood_in(&wanted).await?;
                 let maps = caller.service.session_clouds(wanted).await?;
                 progress.step(READING, STEPS, "reading it");
                 let given = caller.service.toolbox_within(caller.owner(), maps, budget, progress.clone(), read).await?;
+                let given = given.with_stood(stood);
                 let act = Act::begin(&caller.context, kind.plain_call(), &id);
                 let done = caller.service.import_map_telling(&id, given, options, &progress).await;
                 act.end(&done);

@@ -23,8 +23,9 @@ impl Caller {
         check_id("session_id", session)?;
         self.may_with(NAME, session).await?;
         self.may_use(&wanted).await?;
+        let stood = self.service.stood_in(&wanted).await?;
         let maps = self.service.session_clouds(wanted).await?;
-        let given = self.service.toolbox(self.owner(), maps, read).await?;
+        let given = self.service.toolbox(self.owner(), maps, read).await?.with_stood(stood);
         let act = Act::begin(&self.context, NAME, session);
         let done = self.service.import_map(session, given, options).await;
         act.end(&done);

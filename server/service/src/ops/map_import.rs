@@ -1,7 +1,9 @@
 //! A map that comes from elsewhere begins a session.
 
 use crate::session::command::Imported;
+use crate::toolbox::SessionCloud;
 use crate::{Error, ErrorCode, Limits, Progress, Result, Service, Session, check_id, reason};
+use nalgebra::{Point3, Vector3};
 use percept_formats::OctreeMap;
 use percept_geometry::{PointCloud, Pose, SensorKind, SensorSpec, Voxel};
 use percept_mapping::given::{GivenOptions, GivenSpace, GivenViews, views_of_grid, views_of_space};
@@ -17,7 +19,12 @@ pub enum GivenMap {
     /// Occupancy of space.
     Octree(OctreeMap),
     /// Points, z up.
-    Cloud(Arc<PointCloud>),
+    Cloud {
+        /// In metres.
+        cloud: Arc<PointCloud>,
+        /// Points of the floor on which the robot stood that saw it, as far as that is known.
+        stood: Vec<Point3<f64>>,
+    },
 }
 
 /// How it is taken in.
@@ -85,6 +92,24 @@ impl Service {
         options.check()?;
         let before = self.snapshot(session).await?;
         if before.keyframes.is_empty() && before.pose.is_none() { Ok(before) } else { Err(not_empty()) }
+    }
+
+    /// Where robots stood that mapped these sessions, on the floor, map frame, metres: base's height over it is that of its first
+    /// pose, since the floor there is z = 0.
+    ///
+    /// # Errors
+    /// `SESSION_NOT_FOUND`.
+    pub(crate) async fn stood_in(&self, clouds: &[SessionCloud]) -> Result<Vec<Point3<f64>>> {
+        let mut out = vec![];
+        for wanted in clouds {
+            let snapshot = self.snapshot(&wanted.session).await?;
+            let poses = || snapshot.trajectory().map(|(t_map_base, _)| Point3::from(t_map_base.translation.vector));
+            let height_m = poses().next().map_or(0.0, |first| first.z);
+            let is_within =
+                |p: &Point3<f64>| wanted.around.is_none_or(|(center, radius)| (p - center).norm() <= radius);
+            out.extend(poses().filter(is_within).map(|p| p - Vector3::z() * height_m));
+        }
+        Ok(out)
     }
 
     /// [`import_map`](Self::import_map), saying how far it is. If it is cancelled or fails, the session is as it was.
@@ -157,6 +182,14 @@ impl ImportOptions {
 }
 
 impl GivenMap {
+    /// The same with where the robots stood whose map it is, if it is one of a session.
+    pub(crate) fn with_stood(mut self, floor: Vec<Point3<f64>>) -> Self {
+        if let Self::Cloud { stood, .. } = &mut self {
+            *stood = floor;
+        }
+        self
+    }
+
     fn found_by(&self) -> SensorKind {
         if matches!(self, Self::Grid(_)) { SensorKind::Lidar2d } else { SensorKind::Lidar3d }
     }
@@ -182,9 +215,10 @@ impl GivenMap {
                 views_of_grid(grid, &look)
             }
             Self::Octree(octree) => space_of(octree).and_then(|space| views_of_space(&space, &look)),
-            Self::Cloud(cloud) => {
+            Self::Cloud { cloud, stood } => {
                 let voxel_m = options.voxel_size_m.unwrap_or(VOXEL_M);
-                GivenSpace::of_points(cloud.as_ref().clone(), voxel_m).and_then(|s| views_of_space(&s, &look))
+                let space = GivenSpace::of_points(cloud.as_ref().clone(), voxel_m);
+                space.and_then(|s| views_of_space(&s.with_stood(stood.clone()), &look))
             }
         };
         seen.map_err(|e| self.refusal(&e))
@@ -194,7 +228,7 @@ impl GivenMap {
         let field = match self {
             Self::Grid(_) => "grid",
             Self::Octree(_) => "octomap",
-            Self::Cloud(_) => "cloud",
+            Self::Cloud { .. } => "cloud",
         };
         match e {
             MappingError::RegionTooLarge { cells, limit } => {

@@ -78,6 +78,8 @@ pub enum NoPose {
     NothingSees,
     /// The one that is to move the pose is not declared, or sees nothing.
     WantedIsAbsent,
+    /// All that see are planar lidars whose plane is steep on the robot.
+    PlaneIsSteep,
 }
 
 impl SensorStatus {
@@ -219,7 +221,11 @@ impl SensorBook {
             let is_there = self.get(&SensorId(wanted.to_owned())).is_some_and(sees);
             return (!is_there).then_some(NoPose::WantedIsAbsent);
         }
-        (!self.all().any(sees)).then_some(NoPose::NothingSees)
+        if !self.all().any(sees) {
+            return Some(NoPose::NothingSees);
+        }
+        let is_level = |s: &SensorStatus| s.declaration.spec.can_move_the_pose();
+        (!self.all().any(is_level)).then_some(NoPose::PlaneIsSteep)
     }
 
     /// The ticket of a frame that was taken in not long ago.

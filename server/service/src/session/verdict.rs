@@ -337,6 +337,11 @@ impl fmt::Display for StreamTrouble {
             Self::NoPose(NoPose::NothingSees) => f.write_str(
                 "no pose comes of it alone: declare a lidar, a depth camera or a camera, too (DeclareSensor)",
             ),
+            Self::NoPose(NoPose::PlaneIsSteep) => f.write_str(
+                "no pose comes of it: planar lidars alone see, their planes are steep on the robot by their mounts, and a robot that \
+                 drives is found in a level one; declare a level lidar, a 3D lidar or a camera, too, or put t_base_sensor right \
+                 (UpdateSensor)",
+            ),
             Self::NoPose(NoPose::WantedIsAbsent) => f.write_str(
                 "there is no pose, since slam.pose_sensor names a sensor that is not declared, or that sees nothing; declare \
                  it, or create the session anew without pose_sensor",

@@ -30,7 +30,7 @@ pub fn given(toolbox: &Toolbox, r: &v1::ImportMapRequest) -> Result<GivenMap> {
                 |e: percept_formats::FormatError| Error::invalid(reason::FILE_INVALID, "octomap", e.to_string());
             GivenMap::Octree(percept_formats::octomap::decode(bytes, &limits).map_err(refused)?)
         }
-        M::Cloud(source) => GivenMap::Cloud(toolbox::cloud(toolbox, "cloud", Some(source))?),
+        M::Cloud(source) => GivenMap::Cloud { cloud: toolbox::cloud(toolbox, "cloud", Some(source))?, stood: vec![] },
     })
 }
 

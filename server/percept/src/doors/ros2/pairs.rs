@@ -7,6 +7,8 @@ use zenoh::bytes::ZBytes;
 
 /// Images of either kind that wait for the other: 0.3 s at 30 Hz.
 const HELD: usize = 10;
+/// Depth images after which no colour is waited for if none had one: 2 s at 10 Hz, beside those that wait.
+const HOPELESS: u64 = 20;
 /// Bytes of images of either kind that wait at most: ten of 1280 x 720 in colour, and more.
 const HELD_BYTES: usize = 32 << 20;
 
@@ -17,11 +19,12 @@ pub(super) struct Pairs<T> {
     color: VecDeque<(Timestamp, T)>,
     /// Depth images for which no colour came.
     pub(super) num_alone: u64,
+    has_paired: bool,
 }
 
 impl<T> Default for Pairs<T> {
     fn default() -> Self {
-        Self { depth: VecDeque::new(), color: VecDeque::new(), num_alone: 0 }
+        Self { depth: VecDeque::new(), color: VecDeque::new(), num_alone: 0, has_paired: false }
     }
 }
 
@@ -44,6 +47,7 @@ impl<T: Clone + Weighed> Pairs<T> {
     /// Takes a depth image in; with its colour, if that is there.
     pub(super) fn depth(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
         if let Some(color) = nearest(&self.color, stamp) {
+            self.has_paired = true;
             return Some((image, color));
         }
         self.depth.push_back((stamp, image));
@@ -51,12 +55,22 @@ impl<T: Clone + Weighed> Pairs<T> {
         None
     }
 
+    /// Whether so many came alone, and none in a pair, that none will.
+    pub(super) fn is_hopeless(&self) -> bool {
+        !self.has_paired && self.num_alone >= HOPELESS
+    }
+
     /// Takes a colour image in; with the depth image that waits for it, if there is one. Those before it find none any more.
     pub(super) fn color(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
+        if self.is_hopeless() {
+            // Its depth image was taken without it.
+            self.depth.clear();
+        }
         let waiting = self.depth.iter().position(|(at, _)| at.0.abs_diff(stamp.0) <= PAIR_APART_NS);
         self.color.push_back((stamp, image.clone()));
         let_go(&mut self.color);
         let at = waiting?;
+        self.has_paired = true;
         self.num_alone += at as u64;
         self.depth.drain(..at);
         self.depth.pop_front().map(|(_, depth)| (depth, image))
@@ -113,6 +127,21 @@ mod tests {
         assert_eq!(pairs.num_alone, 1);
         (0..20).for_each(|i| assert_eq!(pairs.depth(ms(1000 + 33 * i), "d"), None));
         assert_eq!((pairs.num_alone, pairs.depth.len()), (11, HELD));
+    }
+
+    /// A camera whose colour is 40 ms late, say.
+    #[test]
+    fn depth_that_never_has_colour_is_not_to_wait_for_it() {
+        let mut pairs = Pairs::default();
+        for i in 0..40 {
+            assert_eq!(pairs.depth(ms(100 * i), "d"), None);
+            assert_eq!(pairs.color(ms(100 * i + 40), "c"), None);
+            assert_eq!(pairs.is_hopeless(), i >= 29, "{i}");
+        }
+        // Colour that comes in time after all.
+        assert_eq!(pairs.color(ms(5001), "c"), None);
+        assert_eq!(pairs.depth(ms(5000), "d"), Some(("d", "c")));
+        assert!(!pairs.is_hopeless());
     }
 
     #[test]

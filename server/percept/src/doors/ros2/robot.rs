@@ -10,14 +10,14 @@ use super::pairs::{Half, Pairs};
 use super::results::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
-use percept_geometry::{SensorData, SensorFrame, SensorId, SensorSpec, Timestamp};
+use percept_geometry::{Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
 use percept_ros::cdr::{Encoding, Reader};
 use percept_ros::messages::{
     CameraInfo, CompressedImage, Header, Image, Imu, LaserScan, Odometry, PointCloud2, PoseStamped, TFMessage,
 };
 use percept_ros::readings::{Reading, reading};
 use percept_ros::rmw_zenoh::Attachment;
-use percept_ros::topics::Content;
+use percept_ros::topics::{Content, PAIR_APART_NS};
 use percept_ros::{DecodeError, Message, Wire, convert};
 use percept_service::{Caller, Error, IncomingFrame, NewSession, OverloadPolicy, SensorDeclaration, observe, reason};
 use std::any::Any;
@@ -38,6 +38,9 @@ const NO_ODOMETRY: Duration = Duration::from_secs(3);
 /// So long stamps of 0 may be those of a simulation whose clock has not begun; of one that sends no others the time of sending
 /// is taken.
 const NO_CLOCK: Duration = Duration::from_secs(10);
+/// A transform that says otherwise than a sensor was declared by more than this is told of, metres and radians: what calibrations
+/// differ by is less.
+const OTHERWISE: (f64, f64) = (0.03, 0.03);
 /// The topic on which RViz says where to go.
 const GOAL: &str = "goal_pose";
 
@@ -66,6 +69,18 @@ pub(super) struct Listener<'a> {
     clock: Clock,
     /// Topics whose stamps went back, and that were told so.
     set_back: BTreeSet<String>,
+    /// Topics of depth images for which colour is not waited any more.
+    colourless: BTreeSet<String>,
+    /// Where sensors are declared to be, by topic.
+    mounts: BTreeMap<String, Mount>,
+}
+
+/// Where a sensor is declared to be, and whether it was told that its transform says otherwise.
+#[derive(Debug)]
+struct Mount {
+    frame: String,
+    t_base_sensor: Pose,
+    is_told: bool,
 }
 
 /// What is known of a robot's clock.
@@ -132,6 +147,8 @@ impl<'a> Listener<'a> {
             tf_sensor: None,
             clock: Clock::Unset(None),
             set_back: BTreeSet::new(),
+            colourless: BTreeSet::new(),
+            mounts: BTreeMap::new(),
         };
         let (token, mut tokens) = mpsc::channel(TOKENS);
         let _tokens = zenoh
@@ -237,11 +254,12 @@ impl<'a> Listener<'a> {
                 Decision::Leave { topic, why, .. } => self.leave(&topic, &why).await,
             }
         }
+        self.tell_mounts().await;
         if self.tf_sensor.is_none() && self.now() >= NO_ODOMETRY && self.book.odometry_by_transforms() {
             let spec = transforms_sensor();
             let id = spec.id.clone();
             match self.declared(spec).await {
-                Ok(()) => {
+                Ok(_) => {
                     tracing::info!(session = self.robot.session, "odometry is taken from transforms: no topic has it");
                     self.tf_sensor = Some(id);
                 }
@@ -272,12 +290,19 @@ impl<'a> Listener<'a> {
     async fn declare(&mut self, topic: String, spec: SensorSpec, color: Option<String>, supposed: Option<String>) {
         let session = self.robot.session.as_str();
         let (sensor, kind) = (spec.id.clone(), spec.kind);
-        if let Err(error) = self.declared(spec).await {
-            self.leave(&topic, &error.to_string()).await;
-            if let Some(heard) = self.book.topics.get_mut(&topic) {
-                heard.standing = Standing::Left(error.to_string());
+        let t_base_sensor = match self.declared(spec).await {
+            Ok(t_base_sensor) => t_base_sensor,
+            Err(error) => {
+                self.leave(&topic, &error.to_string()).await;
+                if let Some(heard) = self.book.topics.get_mut(&topic) {
+                    heard.standing = Standing::Left(error.to_string());
+                }
+                return;
             }
-            return;
+        };
+        if let Some(heard) = self.book.topics.get(&topic).filter(|_| kind != SensorKind::Odometry) {
+            let frame = heard.topic.frame_id.clone();
+            self.mounts.insert(topic.clone(), Mount { frame, t_base_sensor, is_told: false });
         }
         if let Some(words) = &supposed {
             tracing::warn!(session, words, "a mount is supposed");
@@ -290,20 +315,46 @@ impl<'a> Listener<'a> {
         }
     }
 
-    /// Declares a sensor. One that is declared already stays as it is: somebody may have put it right.
-    async fn declared(&self, spec: SensorSpec) -> Result<(), Error> {
+    /// Tells of sensors that are declared to be elsewhere than their transforms say: those were put right or moved since, or move.
+    async fn tell_mounts(&mut self) {
+        let Some(base) = self.book.base(self.robot) else { return };
+        let mut told = vec![];
+        for (topic, mount) in self.mounts.iter_mut().filter(|(_, mount)| !mount.is_told) {
+            let Some(now) = self.book.frames.t_a_b(&base, &mount.frame) else { continue };
+            let off = mount.t_base_sensor.inverse() * now;
+            let (metres, radians) = (off.translation.vector.norm(), off.rotation.angle());
+            if metres > OTHERWISE.0 || radians > OTHERWISE.1 {
+                mount.is_told = true;
+                let words = format!(
+                    "its transform from {base} is {metres:.2} m and {:.0} degrees off its mount as declared, which stays: if it is \
+                     the transform that is right, put t_base_sensor right (UpdateSensor) or delete the session; a sensor that \
+                     moves on the robot is not supported",
+                    radians.to_degrees()
+                );
+                told.push((topic.clone(), words));
+            }
+        }
+        for (topic, words) in told {
+            tracing::warn!(session = self.robot.session, topic, words, "another mount");
+            self.tell(&topic, Some(words)).await;
+        }
+    }
+
+    /// Declares a sensor; where it is declared to be. One that is declared already stays as it is: somebody may have put it right.
+    async fn declared(&self, spec: SensorSpec) -> Result<Pose, Error> {
         let session = self.robot.session.as_str();
         let known = self.caller.list_sensors(session).await?;
         if let Some(known) = known.iter().find(|s| s.declaration.spec.id == spec.id) {
             let (is, was) = (spec.kind, known.declaration.spec.kind);
             if is == was {
-                return Ok(());
+                return Ok(known.declaration.spec.t_base_sensor);
             }
             let words = format!("the sensor {} is declared as {was:?}, and its topic has {is:?}", spec.id);
             return Err(Error::invalid(reason::SENSOR_IN_USE, "sensor_id", words));
         }
+        let t_base_sensor = spec.t_base_sensor;
         let declaration = SensorDeclaration { spec, overload: OverloadPolicy::default() };
-        self.caller.declare_sensor(session, declaration).await.map(drop)
+        self.caller.declare_sensor(session, declaration).await.map(|_| t_base_sensor)
     }
 
     async fn leave(&mut self, topic: &str, why: &str) {
@@ -332,6 +383,7 @@ impl<'a> Listener<'a> {
                 self.tf_sensor = None;
                 self.clock = Clock::Unset(None);
                 self.set_back.clear();
+                self.mounts.clear();
                 self.book.begin_anew();
                 return;
             }
@@ -383,8 +435,24 @@ impl<'a> Listener<'a> {
                 match self.pairs.get_mut(name) {
                     Some(pairs) => {
                         let stamp = stamp_of(&content, payload, sent_ns)?;
-                        match pairs.depth(stamp, half) {
+                        match pairs.depth(stamp, half.clone()) {
                             Some((depth, color)) => self.offer(&content, sensor, depth, Some(color)).await,
+                            None if pairs.is_hopeless() => {
+                                if self.colourless.insert(name.to_owned()) {
+                                    let words = format!(
+                                        "taken without colour: none of its colour images was made within {} ms of a depth image",
+                                        PAIR_APART_NS / 1_000_000
+                                    );
+                                    tracing::warn!(
+                                        session = self.robot.session,
+                                        topic = name,
+                                        words,
+                                        "depth without colour"
+                                    );
+                                    self.tell(name, Some(words)).await;
+                                }
+                                self.offer(&content, sensor, half, None).await
+                            }
                             None => Ok(()),
                         }
                     }
