@@ -81,9 +81,14 @@ impl Service {
         }
     }
 
-    /// Notes what a door has to say of a stream of a session that is awake; none if there is nothing any more.
+    /// Notes what a door has to say of a stream; none if there is nothing any more. A session that sleeps is woken for words, as one
+    /// does that no frame has come for yet.
     pub async fn note_stream(&self, session: &str, stream: &str, message: Option<String>) {
-        if let Some(session) = self.view_session(session).await.ok().and_then(|view| view.live) {
+        let found = match message {
+            Some(_) => self.session(session).await.ok(),
+            None => self.view_session(session).await.ok().and_then(|view| view.live),
+        };
+        if let Some(session) = found {
             session.note_stream(stream, message);
         }
     }

@@ -11,8 +11,8 @@ pub(crate) struct Ros2 {
     /// zenoh router is, such as "tcp/robot-7.local:7447") or `listen` (where its router connects to). If they are not
     /// so: `domain` (0), `namespace` of its topics (""), `protocol` ("rmw_zenoh", or "ros2dds" for the bridge),
     /// `topics` that are taken alone ([]: all that are found and fit), `base_frame` ("": base_link, else
-    /// base_footprint), `odom_frame` ("odom"), `map_frame` ("map"), `publishes` (true: tf, map, pose and what else is
-    /// found goes back), `tenant` ("default").
+    /// base_footprint), `odom_frame` ("odom", else what base hangs on), `map_frame` ("map"), `publishes` (true: tf, map,
+    /// pose and what else is found goes back), `tenant` ("default").
     pub robots: Vec<Robot>,
 }
 
