@@ -5,9 +5,12 @@
 //! ROS 2 is. What they feed are the sessions that the settings name, and no others.
 
 mod book;
+mod checks;
+mod clock;
 mod inbox;
 mod link;
 mod motion;
+mod mounts;
 mod numbers;
 mod pairs;
 mod results;

@@ -19,12 +19,13 @@ pub(super) struct Pairs<T> {
     color: VecDeque<(Timestamp, T)>,
     /// Depth images for which no colour came.
     pub(super) num_alone: u64,
+    num_color: u64,
     has_paired: bool,
 }
 
 impl<T> Default for Pairs<T> {
     fn default() -> Self {
-        Self { depth: VecDeque::new(), color: VecDeque::new(), num_alone: 0, has_paired: false }
+        Self { depth: VecDeque::new(), color: VecDeque::new(), num_alone: 0, num_color: 0, has_paired: false }
     }
 }
 
@@ -55,20 +56,23 @@ impl<T: Clone + Weighed> Pairs<T> {
         None
     }
 
-    /// Whether so many came alone, and none in a pair, that none will.
+    /// Whether so many of both came, and none in a pair, that none will.
     pub(super) fn is_hopeless(&self) -> bool {
-        !self.has_paired && self.num_alone >= HOPELESS
+        !self.has_paired && self.num_alone.min(self.num_color) >= HOPELESS
     }
 
     /// Takes a colour image in; with the depth image that waits for it, if there is one. Those before it find none any more.
     pub(super) fn color(&mut self, stamp: Timestamp, image: T) -> Option<(T, T)> {
-        if self.is_hopeless() {
-            // Its depth image was taken without it.
-            self.depth.clear();
-        }
+        self.num_color += 1;
         let waiting = self.depth.iter().position(|(at, _)| at.0.abs_diff(stamp.0) <= PAIR_APART_NS);
         self.color.push_back((stamp, image.clone()));
         let_go(&mut self.color);
+        if self.is_hopeless() {
+            // Its depth image was taken without it; if it is in time, the next is waited for again.
+            self.has_paired = waiting.is_some();
+            self.depth.clear();
+            return None;
+        }
         let at = waiting?;
         self.has_paired = true;
         self.num_alone += at as u64;
@@ -138,10 +142,15 @@ mod tests {
             assert_eq!(pairs.color(ms(100 * i + 40), "c"), None);
             assert_eq!(pairs.is_hopeless(), i >= 29, "{i}");
         }
-        // Colour that comes in time after all.
-        assert_eq!(pairs.color(ms(5001), "c"), None);
-        assert_eq!(pairs.depth(ms(5000), "d"), Some(("d", "c")));
-        assert!(!pairs.is_hopeless());
+        // Colour that comes in time after all: that of an image that was taken alone, then the next one's.
+        assert_eq!((pairs.depth(ms(5000), "d"), pairs.is_hopeless()), (None, true));
+        assert_eq!((pairs.color(ms(5001), "c"), pairs.is_hopeless()), (None, false));
+        assert_eq!(pairs.depth(ms(5100), "d2"), None);
+        assert_eq!(pairs.color(ms(5101), "c2"), Some(("d2", "c2")));
+        // A camera whose colour begins long after its depth.
+        let mut pairs = Pairs::default();
+        (0..100).for_each(|i| assert_eq!((pairs.depth(ms(33 * i), "d"), pairs.is_hopeless()), (None, false)));
+        assert_eq!(pairs.color(ms(33 * 99), "c"), Some(("d", "c")));
     }
 
     #[test]

@@ -5,9 +5,9 @@
 
 use super::super::zenoh::Failure;
 use super::book::Root;
+use super::checks::lock;
 use super::link::{Entities, Found, Manner, Node, Topic};
 use super::motion::Motion;
-use super::robot::lock;
 use super::settings::Robot;
 use percept_geometry::{Pose, Stamped, Timestamp, se3};
 use percept_pipeline::PoseEstimate;

@@ -3,29 +3,31 @@
 use super::super::grpc::Api;
 use super::super::zenoh::Failure;
 use super::book::{Book, Decision, Standing, transforms_sensor};
+use super::checks::{check_size, checked, no_message, stamp_of};
+use super::clock::Clock;
 use super::inbox::{Inbox, Incoming};
 use super::link::{self, Found};
+use super::mounts::Mounts;
 use super::numbers::Numbers;
 use super::pairs::{Half, Pairs};
 use super::results::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
 use percept_geometry::{Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
-use percept_ros::cdr::{Encoding, Reader};
+use percept_ros::cdr::Encoding;
 use percept_ros::messages::{
-    CameraInfo, CompressedImage, Header, Image, Imu, LaserScan, Odometry, PointCloud2, PoseStamped, TFMessage,
+    CameraInfo, CompressedImage, Image, Imu, LaserScan, Odometry, PointCloud2, PoseStamped, TFMessage,
 };
 use percept_ros::readings::{Reading, reading};
 use percept_ros::rmw_zenoh::Attachment;
 use percept_ros::topics::{Content, PAIR_APART_NS};
-use percept_ros::{DecodeError, Message, Wire, convert};
+use percept_ros::{Message, convert};
 use percept_service::{Caller, Error, IncomingFrame, NewSession, OverloadPolicy, SensorDeclaration, observe, reason};
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
-use zenoh::bytes::ZBytes;
 use zenoh::sample::{Locality, SampleKind};
 use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
@@ -35,12 +37,6 @@ const LOOK: Duration = Duration::from_millis(250);
 const TOKENS: usize = 256;
 /// Odometry by transforms is only taken when no topic of odometry has come by then.
 const NO_ODOMETRY: Duration = Duration::from_secs(3);
-/// So long stamps of 0 may be those of a simulation whose clock has not begun; of one that sends no others the time of sending
-/// is taken.
-const NO_CLOCK: Duration = Duration::from_secs(10);
-/// A transform that says otherwise than a sensor was declared by more than this is told of, metres and radians: what calibrations
-/// differ by is less.
-const OTHERWISE: (f64, f64) = (0.03, 0.03);
 /// The topic on which RViz says where to go.
 const GOAL: &str = "goal_pose";
 
@@ -71,51 +67,8 @@ pub(super) struct Listener<'a> {
     set_back: BTreeSet<String>,
     /// Topics of depth images for which colour is not waited any more.
     colourless: BTreeSet<String>,
-    /// Where sensors are declared to be, by topic.
-    mounts: BTreeMap<String, Mount>,
-}
-
-/// Where a sensor is declared to be, and whether it was told that its transform says otherwise.
-#[derive(Debug)]
-struct Mount {
-    frame: String,
-    t_base_sensor: Pose,
-    is_told: bool,
-}
-
-/// What is known of a robot's clock.
-#[derive(Debug, Clone, Copy)]
-enum Clock {
-    /// No sensor's message had a stamp; the first of those came then.
-    Unset(Option<Instant>),
-    /// Messages have stamps.
-    Set,
-}
-
-impl Clock {
-    /// Takes a message's stamp: whether it can be told when the message was made.
-    fn note(&mut self, stamp_ns: i64) -> Result<(), Error> {
-        if stamp_ns != 0 {
-            *self = Self::Set;
-            return Ok(());
-        }
-        let words = match self {
-            Self::Set => {
-                "the stamp is 0, and the robot's others are not; stamp each message with the robot's clock".to_owned()
-            }
-            Self::Unset(since) => {
-                if since.get_or_insert_with(Instant::now).elapsed() >= NO_CLOCK {
-                    return Ok(());
-                }
-                format!(
-                    "the stamp is 0, as before a simulation's clock has begun; after {} s of such alone the time of sending is \
-                     taken",
-                    NO_CLOCK.as_secs()
-                )
-            }
-        };
-        Err(Error::invalid(reason::STAMP_ZERO, "header.stamp", words))
-    }
+    /// Where sensors are declared to be.
+    mounts: Mounts,
 }
 
 impl<'a> Listener<'a> {
@@ -148,7 +101,7 @@ impl<'a> Listener<'a> {
             clock: Clock::Unset(None),
             set_back: BTreeSet::new(),
             colourless: BTreeSet::new(),
-            mounts: BTreeMap::new(),
+            mounts: Mounts::default(),
         };
         let (token, mut tokens) = mpsc::channel(TOKENS);
         let _tokens = zenoh
@@ -301,8 +254,7 @@ impl<'a> Listener<'a> {
             }
         };
         if let Some(heard) = self.book.topics.get(&topic).filter(|_| kind != SensorKind::Odometry) {
-            let frame = heard.topic.frame_id.clone();
-            self.mounts.insert(topic.clone(), Mount { frame, t_base_sensor, is_told: false });
+            self.mounts.note(&topic, &heard.topic.frame_id, t_base_sensor);
         }
         if let Some(words) = &supposed {
             tracing::warn!(session, words, "a mount is supposed");
@@ -315,26 +267,10 @@ impl<'a> Listener<'a> {
         }
     }
 
-    /// Tells of sensors that are declared to be elsewhere than their transforms say: those were put right or moved since, or move.
+    /// Tells of sensors that are declared to be elsewhere than their transforms say.
     async fn tell_mounts(&mut self) {
         let Some(base) = self.book.base(self.robot) else { return };
-        let mut told = vec![];
-        for (topic, mount) in self.mounts.iter_mut().filter(|(_, mount)| !mount.is_told) {
-            let Some(now) = self.book.frames.t_a_b(&base, &mount.frame) else { continue };
-            let off = mount.t_base_sensor.inverse() * now;
-            let (metres, radians) = (off.translation.vector.norm(), off.rotation.angle());
-            if metres > OTHERWISE.0 || radians > OTHERWISE.1 {
-                mount.is_told = true;
-                let words = format!(
-                    "its transform from {base} is {metres:.2} m and {:.0} degrees off its mount as declared, which stays: if it is \
-                     the transform that is right, put t_base_sensor right (UpdateSensor) or delete the session; a sensor that \
-                     moves on the robot is not supported",
-                    radians.to_degrees()
-                );
-                told.push((topic.clone(), words));
-            }
-        }
-        for (topic, words) in told {
+        for (topic, words) in self.mounts.contradicted(&self.book.frames, &base) {
             tracing::warn!(session = self.robot.session, topic, words, "another mount");
             self.tell(&topic, Some(words)).await;
         }
@@ -383,7 +319,7 @@ impl<'a> Listener<'a> {
                 self.tf_sensor = None;
                 self.clock = Clock::Unset(None);
                 self.set_back.clear();
-                self.mounts.clear();
+                self.mounts = Mounts::default();
                 self.book.begin_anew();
                 return;
             }
@@ -419,7 +355,7 @@ impl<'a> Listener<'a> {
         let (content, standing) = (heard.topic.content.clone(), heard.standing.clone());
         if matches!(standing, Standing::Taken(_) | Standing::ColorOf(_)) {
             let stamp_ns = checked(&payload.to_bytes(), &heard.topic.frame_id)?;
-            self.clock.note(stamp_ns)?;
+            self.clock.note(stamp_ns, sent_ns)?;
         }
         match (content, standing) {
             (Content::Transforms, _) => self.transforms(name, &payload.to_bytes()).await,
@@ -436,7 +372,10 @@ impl<'a> Listener<'a> {
                     Some(pairs) => {
                         let stamp = stamp_of(&content, payload, sent_ns)?;
                         match pairs.depth(stamp, half.clone()) {
-                            Some((depth, color)) => self.offer(&content, sensor, depth, Some(color)).await,
+                            Some((depth, color)) => {
+                                self.paired(name).await;
+                                self.offer(&content, sensor, depth, Some(color)).await
+                            }
                             None if pairs.is_hopeless() => {
                                 if self.colourless.insert(name.to_owned()) {
                                     let words = format!(
@@ -465,13 +404,21 @@ impl<'a> Listener<'a> {
                 let pair = self.pairs.get_mut(&depth).and_then(|pairs| pairs.color(stamp, half));
                 let of_depth = self.book.topics.get(&depth).map(|h| (h.topic.content.clone(), h.standing.clone()));
                 match (pair, of_depth) {
-                    (Some((depth, color)), Some((content, Standing::Taken(sensor)))) => {
-                        self.offer(&content, sensor, depth, Some(color)).await
+                    (Some((image, color)), Some((content, Standing::Taken(sensor)))) => {
+                        self.paired(&depth).await;
+                        self.offer(&content, sensor, image, Some(color)).await
                     }
                     _ => Ok(()),
                 }
             }
             (_, Standing::Beside | Standing::Left(_) | Standing::Uncalibrated) => Ok(()),
+        }
+    }
+
+    /// A depth image has its colour: what was said of none is over.
+    async fn paired(&mut self, topic: &str) {
+        if self.colourless.remove(topic) {
+            self.tell(topic, None).await;
         }
     }
 
@@ -524,7 +471,10 @@ impl<'a> Listener<'a> {
             && let Some(t_odom_base) = base.and_then(|base| self.book.frames.t_a_b(odom, &base))
         {
             let stamp = Timestamp::from(t.header.stamp);
-            self.book.note_odometry();
+            // A body that is held by its footprint, say, is no odometry.
+            if odom.to_lowercase().contains("odom") || odom == self.robot.odom_frame {
+                self.book.note_odometry();
+            }
             self.shared.moved(topic, stamp, t_odom_base);
             if let Some(sensor) = self.tf_sensor.clone() {
                 let data = SensorData::Odometry(OdometrySample { t_odom_base, covariance: None });
@@ -585,62 +535,4 @@ impl<'a> Listener<'a> {
         let frame = SensorFrame { sensor, stamp: reading.stamp, data: reading.data };
         self.caller.offer_frame(IncomingFrame { session, sequence, frame }).await
     }
-}
-
-fn no_message(error: DecodeError) -> Error {
-    Error::invalid(reason::MESSAGE_INVALID, "", error.to_string())
-}
-
-/// The stamp of a message. A sensor stays where its first message said: what comes of another frame would be taken to be there.
-fn checked(bytes: &[u8], frame: &str) -> Result<i64, Error> {
-    let header = Reader::cdr(bytes).and_then(|mut reader| Header::read(&mut reader)).map_err(no_message)?;
-    if header.frame_id == frame {
-        return Ok(Timestamp::from(header.stamp).0);
-    }
-    let words = format!("its frame was {frame:?} and is {:?} now; give each frame a topic of its own", header.frame_id);
-    Err(Error::invalid(reason::MESSAGE_INVALID, "header.frame_id", words))
-}
-
-/// The stamp of an image's header, or when it was sent if that is not set.
-fn stamp_of(content: &Content, payload: &ZBytes, sent_ns: i64) -> Result<Timestamp, Error> {
-    let bytes = payload.to_bytes();
-    let is_compressed =
-        matches!(content, Content::Depth { compressed: true, .. } | Content::Color { compressed: true, .. });
-    let stamp = if is_compressed {
-        CompressedImage::decode(&bytes).map_err(no_message)?.header.stamp
-    } else {
-        Image::decode(&bytes).map_err(no_message)?.header.stamp
-    };
-    let stamp = Timestamp::from(stamp);
-    Ok(if stamp.0 == 0 { Timestamp(sent_ns) } else { stamp })
-}
-
-/// What holds at the other doors holds here.
-fn check_size(data: &SensorData, limits: &percept_service::Limits) -> Result<(), Error> {
-    let (num, limit, code, field) = match data {
-        SensorData::Cloud(cloud) => (cloud.len(), limits.max_cloud_points, reason::CLOUD_TOO_LARGE, "data"),
-        SensorData::Scan(scan) => (scan.ranges_m.len(), limits.max_cloud_points, reason::SCAN_TOO_LARGE, "ranges"),
-        SensorData::Depth(d) | SensorData::Rgbd(d, _) => {
-            (d.data().len(), limits.max_image_pixels, reason::IMAGE_TOO_LARGE, "data")
-        }
-        SensorData::Camera(c) => (c.width() * c.height(), limits.max_image_pixels, reason::IMAGE_TOO_LARGE, "data"),
-        SensorData::Imu(_) | SensorData::Odometry(_) => return Ok(()),
-    };
-    if num > limit {
-        let words = format!("it has {num} points, beams or pixels, the limit is {limit}; send fewer");
-        return Err(Error::exhausted(code, field, words));
-    }
-    if let SensorData::Rgbd(depth, color) = data
-        && (depth.width(), depth.height()) != (color.width(), color.height())
-    {
-        let (w, h) = (color.width(), color.height());
-        let words = format!("colour is {w}x{h} but depth is {}x{}", depth.width(), depth.height());
-        return Err(Error::invalid(reason::COLOUR_SIZE_MISMATCH, "colour", words));
-    }
-    Ok(())
-}
-
-/// Another thread's panic leaves nothing half done here.
-pub(super) fn lock<T>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

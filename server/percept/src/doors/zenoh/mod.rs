@@ -201,19 +201,18 @@ impl ZenohDoor {
 
     /// Serves until the server stops.
     pub(crate) async fn serve(self, api: Api) -> Result<(), Failure> {
-        let mut stopping = api.stopping.clone();
         let publishers = Arc::new(publish::Publishers::default());
-        let mut tasks = tokio::task::JoinSet::new();
+        let mut networks = tokio::task::JoinSet::new();
         for router in &self.setup.network.connect {
             let attended = Attended { names: self.names.clone(), publishers: Arc::clone(&publishers) };
-            tasks.spawn(network::join(config(&self.setup)?, router.clone(), attended, api.stopping.clone()));
+            networks.spawn(network::join(config(&self.setup)?, router.clone(), attended, api.stopping.clone()));
         }
         tokio::select! {
             served = self.serve_listening(&api, &publishers) => served?,
             () = tell_counts(&api) => {}
-            _ = stopping.wait_for(|s| *s) => {}
         }
-        tasks.shutdown().await;
+        // Each leaves its network.
+        while networks.join_next().await.is_some() {}
         Ok(())
     }
 
@@ -252,7 +251,8 @@ impl ZenohDoor {
                 }
             }
         }
-        std::future::pending().await
+        let _ = stopping.wait_for(|s| *s).await;
+        Ok(())
     }
 }
 
