@@ -39,7 +39,10 @@ async fn serve(
     let mut config = config.clone();
     config.insert_json5("mode", "\"client\"")?;
     config.insert_json5("connect/endpoints", &serde_json::to_string(&[router])?)?;
-    let session = zenoh::open(config).await?;
+    let session = tokio::select! {
+        opened = zenoh::open(config) => opened?,
+        _ = stopping.wait_for(|s| *s) => return Ok(()),
+    };
     tracing::info!(router, "the zenoh network is joined");
     let served = tokio::select! {
         served = attended.to(&session) => served,
