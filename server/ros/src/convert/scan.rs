@@ -32,8 +32,8 @@ pub fn scan(message: &LaserScan<'_>) -> Result<Scan, ConvertError> {
     let (mut range_max, mut ranges) = (message.range_max, message.ranges.clone());
     if range_max == 0.0 || range_max.is_infinite() {
         let measured = ranges.iter().copied().filter(|r| r.is_finite());
-        // A scan in which nothing was measured has to have a limit all the same.
-        range_max = measured.fold(message.range_min.max(1.0), f32::max);
+        // What is at the limit counts as free. A scan in which nothing was measured has to have one all the same.
+        range_max = measured.fold(message.range_min.max(1.0), f32::max).next_up();
         ranges.iter_mut().filter(|r| r.is_infinite()).for_each(|r| *r = f32::NAN);
     }
     let (expected, actual) = (message.ranges.len(), message.intensities.len());

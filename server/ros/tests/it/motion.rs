@@ -32,10 +32,25 @@ fn a_scan_keeps_what_rep_117_says() {
         change(&mut message);
         scan(&message).unwrap_err().to_string()
     };
-    assert!(with(|s| s.range_max = f32::INFINITY).contains("range_max: inf is not finite"));
-    assert!(with(|s| s.range_max = 0.0).contains("range_max: 0 is not positive"));
+    for bad in [|s: &mut m::LaserScan<'_>| s.range_max = -1.0, |s: &mut m::LaserScan<'_>| s.range_max = f32::NAN] {
+        assert!(with(bad).contains("range_max"));
+    }
     assert!(with(|s| s.angle_increment = f32::NAN).contains("angle_increment"));
     assert!(with(|s| s.intensities = vec![1.0; 3]).contains("intensities: expected 4 elements, got 3"));
+}
+
+/// What converters from clouds leave at its default, and drivers leave out: how far the sensor sees is not known.
+#[test]
+fn a_scan_without_a_limit_tells_of_what_it_measured() {
+    for range_max in [f32::INFINITY, 0.0] {
+        let ranges = vec![1.0, f32::INFINITY, 30.0, f32::NAN];
+        let message = m::LaserScan { angle_increment: 0.5, range_min: 0.1, range_max, ranges, ..Default::default() };
+        let read = scan(&message).unwrap();
+        let beams = [Beam::Hit(1.0), Beam::Invalid, Beam::Hit(30.0), Beam::Invalid];
+        assert_eq!(std::array::from_fn(|i| read.beam(i)), beams);
+        let empty = m::LaserScan { ranges: vec![f32::INFINITY; 4], ..message };
+        assert!((1.0..1.01).contains(&scan(&empty).unwrap().range_max_m));
+    }
 }
 
 fn camera() -> m::CameraInfo<'static> {
