@@ -8,7 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from percept import CoverageOptions, CoveragePath, Path
+from percept import CoverageOptions, CoveragePath, Path, SensorSpec
 
 from support.server import binary, recorded
 
@@ -219,6 +219,18 @@ def test_frontiers_of_a_map_file_and_of_a_session_are_listed_and_written(server,
 def test_questions_about_ground_that_are_none_are_usage_errors(hall, arguments, words):
     failed = percept(*(hall if a == "MAP" else a for a in arguments), code=2)
     assert words in failed.stderr
+
+
+def test_a_stream_may_go_into_a_session_that_exists(server, client, name):
+    """As into one whose map was imported; what it lacks of sensors is declared."""
+    drive = ("sim", "--server", server.grpc, "--sensors", "lidar2d", "--duration-s", "2")
+    assert "does not exist" in percept(*drive, "--into", name, code=1).stderr
+    session = client.sessions.create(name)
+    percept(*drive, "--into", name)
+    assert all(s.accepted > 10 and s.rejected == 0 for s in session.sensors.list())
+    (laser,) = [s.spec for s in session.sensors.list() if s.spec.kind == "lidar2d"]
+    other = client.sessions.create(sensors=[SensorSpec(laser.sensor_id, kind="lidar3d")])
+    assert "SENSOR_KIND_LIDAR3D" in percept(*drive, "--into", other.session_id, code=1).stderr
 
 
 @pytest.mark.parametrize("content", [b"", b"no cloud at all"])

@@ -95,14 +95,19 @@ impl<'a> Fit<'a> {
                     && self.is_span_drivable(from, motion, (middle, end), 0.5 * moves))
     }
 
-    /// The first pose on the way that overlaps an obstacle, to [`SLIT`]; none if [`Fit::is_drivable`].
-    pub(crate) fn first_overlap(&self, from: &Pose2, motion: &Motion) -> Option<Pose2> {
+    /// The first pose on the way that overlaps an obstacle, to [`SLIT`], and is not excused; none if [`Fit::is_drivable`].
+    pub(crate) fn first_overlap(
+        &self,
+        from: &Pose2,
+        motion: &Motion,
+        is_excused: impl Fn(&Pose2) -> bool,
+    ) -> Option<Pose2> {
         if self.is_drivable(from, motion) {
             return None;
         }
         let steps = (motion.farthest_move(from, self.circumscribed) / SLIT).ceil().clamp(1.0, MOST_STEPS);
         let mut poses = (0..=steps as usize).map(|i| motion.at(from, i as f64 / steps));
-        poses.find(|pose| !self.is_clear(pose))
+        poses.find(|pose| !self.is_clear(pose) && !is_excused(pose))
     }
 
     /// Whether the footprint is at least `margin` from every obstacle; with a margin, may say no where it is up to sqrt 2

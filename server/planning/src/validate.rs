@@ -40,7 +40,7 @@ const HEADING_SLACK: f64 = 1e-3;
 /// The request says footprint, zones, planner and parameters; its start and goal are not looked at. From pose to pose the
 /// robot moves on an arc if there is one, else in a straight line, turning evenly. By `Grid` and `AnyAngle` the footprint is
 /// the smallest disc that holds it, as it is when they plan. What is checked is the same code that planning checks with. A
-/// path that begins nearer to obstacles than the robot fits, as `start_tolerance_m` allows, does not fit there.
+/// path of theirs may begin nearer to obstacles than the robot fits, within `start_tolerance_m`, as long as it comes no nearer.
 ///
 /// # Errors
 /// As [`plan_path`](crate::plan_path), and `NotFinite` for a pose.
@@ -60,6 +60,17 @@ pub fn validate_path(
     let footprint = request.planned_footprint();
     let costmap = Costmap::with_zones(grid, &first.position, request.params, request.zones, request.masks);
     let fit = Fit::new(&costmap, &footprint);
+    let room = |pose: &Pose2| costmap.clearance_near(&pose.position).0;
+    let room_at_start = room(&first);
+    let starts_tight = !matches!(request.planner, Planner::Hybrid(_))
+        && room_at_start > 0.0
+        && costmap.cell(&first.position).is_some()
+        && fit.obstacle_within(&first, 0.0).is_some();
+    let is_excused = |pose: &Pose2| {
+        starts_tight
+            && (pose.position - first.position).norm() <= request.params.start_tolerance_m
+            && room(pose) >= room_at_start
+    };
     let look = |pose_index: usize| {
         let pose = poses[pose_index];
         let misfit = |pose: Pose2, reason| Some(Misfit { pose_index, pose, reason });
@@ -70,7 +81,7 @@ pub fn validate_path(
             let obstacle = fit.obstacle_within(&pose, 0.0)?;
             misfit(pose, MisfitReason::Blocked(costmap.blocking(&pose.position, obstacle)?))
         };
-        if let Some(found) = blocked(pose) {
+        if let Some(found) = blocked(pose).filter(|_| !is_excused(&pose)) {
             return Some(found);
         }
         let next = poses.get(pose_index + 1)?;
@@ -81,7 +92,7 @@ pub fn validate_path(
             return misfit(pose, reason);
         }
         let motion = arc.map_or(Motion::Straight(*next), Motion::Arc);
-        fit.first_overlap(&pose, &motion).and_then(blocked)
+        fit.first_overlap(&pose, &motion, is_excused).and_then(blocked)
     };
     Ok((0..poses.len()).find_map(look))
 }

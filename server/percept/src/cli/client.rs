@@ -200,6 +200,10 @@ pub(crate) struct StreamOutcome {
     pub(crate) durable: u64,
 }
 
+fn declaration(spec: &SensorSpec) -> v1::SensorSpec {
+    sensors::declaration_to(&SensorDeclaration { spec: spec.clone(), overload: OverloadPolicy::Block })
+}
+
 impl RemoteSession {
     /// Creates a session with these sensors; `id` empty: the server chooses one.
     pub(crate) async fn create(
@@ -208,19 +212,38 @@ impl RemoteSession {
         name: &str,
         specs: &[SensorSpec],
     ) -> Result<Self, Failure> {
-        let declare = |spec: &SensorSpec| {
-            sensors::declaration_to(&SensorDeclaration { spec: spec.clone(), overload: OverloadPolicy::Block })
-        };
         let request = v1::CreateSessionRequest {
             session_id: (!id.is_empty()).then(|| id.to_owned()),
             display_name: name.to_owned(),
             mode: v1::SessionMode::Mapping.into(),
-            sensors: specs.iter().map(declare).collect(),
+            sensors: specs.iter().map(declaration).collect(),
             ..v1::CreateSessionRequest::default()
         };
         let created = SessionsServiceClient::new(channel.clone()).create_session(request).await?.into_inner();
         let id = created.session.ok_or("the server answered without a session")?.session_id;
         Ok(Self { channel, id })
+    }
+
+    /// Joins a session that exists, and declares the sensors that it lacks; those of the same name stay as they are.
+    pub(crate) async fn join(channel: Connection, id: &str, specs: &[SensorSpec]) -> Result<Self, Failure> {
+        let mut client = SensorsServiceClient::new(channel.clone());
+        let request = v1::ListSensorsRequest { session_id: id.to_owned() };
+        let known = client.list_sensors(request).await?.into_inner().sensors;
+        for wanted in specs.iter().map(declaration) {
+            let same = known.iter().filter_map(|s| s.spec.as_ref()).find(|s| s.sensor_id == wanted.sensor_id);
+            match same {
+                Some(same) if same.kind == wanted.kind => {}
+                Some(same) => {
+                    let (id, is, sent) = (&same.sensor_id, same.kind().as_str_name(), wanted.kind().as_str_name());
+                    return Err(format!("the session's sensor {id} is a {is}, and what is to be sent is a {sent}").into());
+                }
+                None => {
+                    let request = v1::DeclareSensorRequest { session_id: id.to_owned(), spec: Some(wanted) };
+                    client.declare_sensor(request).await?;
+                }
+            }
+        }
+        Ok(Self { channel, id: id.to_owned() })
     }
 
     /// Its map, in requests.

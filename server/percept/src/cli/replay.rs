@@ -31,6 +31,9 @@ pub(crate) struct ReplayArgs {
     /// Id of the session on the server; none: one is chosen.
     #[arg(long, default_value = "", requires = "server")]
     session: String,
+    /// Stream into this session, which exists: to go on with its map, or to be found in one that was imported.
+    #[arg(long, value_name = "SESSION", requires = "server", conflicts_with = "session")]
+    into: Option<String>,
     /// Only a part of the recording, FIRST:LAST, LAST excluded.
     #[arg(long, value_parser = input::parse_range)]
     frames: Option<Range<usize>>,
@@ -286,7 +289,10 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
 
 async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Result<(), Failure> {
     let channel = connect(server, &args.access).await?;
-    let session = RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?;
+    let session = match &args.into {
+        Some(id) => RemoteSession::join(channel, id, &recording.sensors).await?,
+        None => RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?,
+    };
     let bar = super::progress(part(args, recording).len() as u64, "replay");
     let primary = primary(recording).map(|s| s.id.0.clone()).unwrap_or_default();
     let start = std::time::Instant::now();

@@ -35,6 +35,9 @@ pub(crate) struct SimArgs {
     /// Id of the session; none: one is chosen.
     #[arg(long, default_value = "")]
     session: String,
+    /// Stream into this session, which exists.
+    #[arg(long, value_name = "SESSION", conflicts_with = "session")]
+    into: Option<String>,
     /// World and noise; the same seed gives the same bytes.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -110,7 +113,10 @@ fn truth(simulation: &Simulation) -> serde_json::Value {
 
 async fn drive(args: &SimArgs, simulation: &Simulation) -> Result<(), Failure> {
     let channel = connect(&args.server, &args.access).await?;
-    let session = RemoteSession::create(channel, &args.session, "simulated robot", &simulation.sensors()).await?;
+    let session = match &args.into {
+        Some(id) => RemoteSession::join(channel, id, &simulation.sensors()).await?,
+        None => RemoteSession::create(channel, &args.session, "simulated robot", &simulation.sensors()).await?,
+    };
     println!("session {} on {}: driving {:.0} s", session.id, args.server, simulation.duration_s());
     let frames = simulation.frames();
     let bar = super::progress(frames.total(), "sim");

@@ -71,6 +71,32 @@ fn the_first_place_is_told_and_why() {
     assert!(matches!(nan, Err(PlanError::NotFinite { field: "poses", .. })));
 }
 
+/// A robot that stands nearer to a wall than it fits is led away from there, and what it was given still holds.
+#[test]
+fn a_path_that_leaves_a_tight_start_fits_and_what_comes_later_is_seen() {
+    let (mut grid, params) = (hall(80, 50), PlanParams::default());
+    // The wall's inner edge is at 7.9 m.
+    let (start, goal) = (Point2::new(7.77, 2.03), Point2::new(2.0, 2.0));
+    for planner in [Planner::Grid, Planner::AnyAngle] {
+        let request = PathRequest { planner, ..PathRequest::new(start, goal, &params) };
+        let PlanOutcome::Path(path) = plan_path(&grid, &request).unwrap() else { panic!("no path") };
+        let poses = poses(&path);
+        assert_eq!(validate_path(&grid, &poses, &request).unwrap(), None, "{planner:?}");
+        let strict = PlanParams { start_tolerance_m: 0.0, ..params };
+        let at_once = PathRequest { params: &strict, ..request };
+        assert_eq!(validate_path(&grid, &poses, &at_once).unwrap().unwrap().pose_index, 0);
+        // Nearer to the wall than it was is not excused.
+        let nearer = [poses[0], pose(7.86, 2.03, 0.0), poses[1]];
+        assert!(validate_path(&grid, &nearer, &request).unwrap().is_some());
+        let before = grid.cells.clone();
+        let at = grid.index(grid.geometry.cell(&Point2::new(4.0, 2.0)).unwrap()).unwrap();
+        grid.cells[at] = 100;
+        let misfit = validate_path(&grid, &poses, &request).unwrap().unwrap();
+        assert!((misfit.pose.position.x - 4.0).abs() < 0.4, "{misfit:?}");
+        grid.cells = before;
+    }
+}
+
 #[test]
 fn what_cannot_be_steered_is_told_from_what_does_not_fit() {
     let (grid, params) = (hall(80, 50), PlanParams::default());
