@@ -235,7 +235,9 @@ impl RemoteSession {
                 Some(same) if same.kind == wanted.kind => {}
                 Some(same) => {
                     let (id, is, sent) = (&same.sensor_id, same.kind().as_str_name(), wanted.kind().as_str_name());
-                    return Err(format!("the session's sensor {id} is a {is}, and what is to be sent is a {sent}").into());
+                    return Err(
+                        format!("the session's sensor {id} is a {is}, and what is to be sent is a {sent}").into()
+                    );
                 }
                 None => {
                     let request = v1::DeclareSensorRequest { session_id: id.to_owned(), spec: Some(wanted) };
