@@ -6,6 +6,8 @@ import contextlib
 import os
 import signal
 import subprocess
+import threading
+import time
 
 import grpc
 import httpx
@@ -83,6 +85,10 @@ class Ballast:
             while True:
                 os.write(file, bytes(1 << 12))
         os.close(file)
+
+    def fill_but(self, num_bytes) -> None:
+        with open(self._path, "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, free_bytes(self._path.parent) - num_bytes)
 
     def free(self) -> None:
         self._path.unlink()
@@ -369,3 +375,60 @@ def test_a_second_signal_is_not_needed_and_does_no_harm(own_server, client):
     own_server.start()
     with Client(own_server.grpc) as client:
         assert len(client.session("robot").trajectory()) == 5
+
+
+class Feeder(threading.Thread):
+    """Streams until the session refuses, and keeps what it said."""
+
+    def __init__(self, session, **options) -> None:
+        super().__init__(daemon=True)
+        self._session, self._options = session, options
+        self.refusal = None
+
+    def run(self) -> None:
+        try:
+            with self._session.stream(**self._options) as stream:
+                for i in range(100_000):
+                    stream.send_cloud("lidar", stamp_ns=world.stamp(i), points=robots.sweep(i))
+        except PerceptError as error:
+            self.refusal = error
+
+
+def free_bytes(folder):
+    disk = os.statvfs(folder)
+    return disk.f_bavail * disk.f_frsize
+
+
+def test_what_robots_fill_a_disk_with_can_be_deleted_again(small_disk, disk_server):
+    """Frames alone fill it, with no other writer; some room is kept for who deletes, and for a start."""
+    with Client(disk_server.grpc, timeout_s=60, retries=0) as client:
+        session = client.sessions.create("robot", sensors=[world.LIDAR])
+        feeder = Feeder(session, resume_timeout_s=3600)
+        Ballast(small_disk).fill_but(6 << 20)
+        feeder.start()
+        assert eventually(lambda: readiness(disk_server)[0] == 503, seconds=60), "it says that it is ready"
+        assert eventually(lambda: health(disk_server) == "NOT_SERVING")
+        assert "STORAGE_FULL" in small_disk.with_name("disk.log").read_text(), "its log does not say so"
+        assert free_bytes(small_disk) > 1 << 20
+        assert session.pose() is not None, "queries go on"
+    disk_server.kill()
+    disk_server.start()
+    with Client(disk_server.grpc, timeout_s=60) as client:
+        assert len(client.session("robot").trajectory()) > 0
+        client.session("robot").delete()
+        again = client.sessions.create("again", sensors=[world.LIDAR])
+        assert eventually(lambda: send(again, 0) is None)
+        assert eventually(lambda: readiness(disk_server)[0] == 200)
+
+
+def test_a_list_after_a_crash_tells_what_sessions_hold(own_server, client):
+    session = client.sessions.create("robot", sensors=[world.LIDAR])
+    robots.send_sweeps(session, 0, 12)
+    before = session.info()
+    assert before.num_keyframes > 0
+    time.sleep(11)
+    own_server.kill()
+    own_server.start()
+    with Client(own_server.grpc) as again:
+        (found,) = again.sessions.list()
+        assert (found.num_keyframes, found.last_stamp_ns) == (before.num_keyframes, before.last_stamp_ns)

@@ -260,6 +260,25 @@ def test_a_watched_path_is_told_again_when_the_map_breaks_it(client):
         next(watch)
 
 
+def test_a_watched_path_is_told_of_zones_while_no_frame_comes(client):
+    """A robot that stands still, and a person who draws."""
+    session = client.sessions.create(sensors=[world.LASER])
+    for i, pose in enumerate(world.drive(40)):
+        session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+    at = np.array(session.pose().t_map_base.translation[:2])
+    goal = at + (1.5, 0.0)
+    with session.watch_path(tuple(goal)) as watch:
+        assert next(watch).change == "first"
+        for center, half in [(goal, 0.2), (at, 0.4)]:
+            square = [tuple(center + half * np.array(c)) for c in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            session.update(zones=[Zone(polygon=square)])
+            told = next(watch)
+            assert (told.change, bool(told.outcome)) in [("blocked", False), ("other_reason", False)]
+            assert told.outcome.reason == session.plan(tuple(goal)).reason
+            session.update(zones=[])
+            assert next(watch).change == "opened"
+
+
 def test_what_is_no_question_is_refused_with_its_field(client, laser_session):
     grid, ends = corridor(), ((0.0, 4.0), (6.0, 4.0))
 

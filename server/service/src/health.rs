@@ -90,6 +90,16 @@ impl Health {
                 troubles.insert(part, Reason { part, reason, message })
             }
         };
+        let told = troubles.get(&part);
+        // That the server starts and ends is told elsewhere.
+        if part != Part::Server && before.as_ref().map(|r| r.reason) != told.map(|r| r.reason) {
+            match told {
+                Some(Reason { reason, message, .. }) => {
+                    tracing::warn!(part = part.name(), reason, "not ready: {message}")
+                }
+                None => tracing::info!(part = part.name(), "ready again"),
+            }
+        }
         for (told, is_there) in [(before.as_ref(), false), (troubles.get(&part), true)] {
             if let Some(told) = told {
                 observe::trouble(part.name(), told.reason, is_there);

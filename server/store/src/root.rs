@@ -25,6 +25,7 @@ use crate::lease::{self, Claim};
 use crate::node::{Node, NodeState};
 use crate::observed::Failures;
 use crate::reader::SessionReader;
+use crate::room::check_room;
 use crate::slate::{Place, SlateStore};
 use crate::threads::blocking;
 
@@ -277,7 +278,8 @@ impl DataRoot {
         let cached =
             |cache: &Arc<BlobCache>| CachedBlobs { cache: cache.clone(), folder: PathBuf::from(folder.as_ref()) };
         let cache = self.cache.as_ref().map(cached);
-        SlateStore::open_at(Place { objects, directory, life, cache }, self.session.clone()).await
+        let disk = self.directory.clone();
+        SlateStore::open_at(Place { objects, directory, disk, life, cache }, self.session.clone()).await
     }
 
     /// What was last noted of a session without waking it; `None` if nothing was.
@@ -315,11 +317,12 @@ impl DataRoot {
         sizes.try_fold(0, |sum, meta| async move { Ok(sum + meta.size) }).await
     }
 
-    /// Tries whether data can be written, and says how that fails.
+    /// Tries whether data can be written, and says how that fails: on a disk also if what is free is kept for deletions.
     ///
     /// # Errors
     /// [`StoreError::Full`], [`StoreError::Io`].
     pub async fn probe(&self) -> Result<(), StoreError> {
+        self.directory.as_deref().map_or(Ok(()), check_room)?;
         let written = self.objects.put(&Path::from("PROBE"), PutPayload::from_static(b"percept\n")).await;
         written.map(|_| ()).map_err(|error| StoreError::from_object("write a probe", error))
     }

@@ -31,6 +31,7 @@ use crate::error::StoreError;
 use crate::keys::{Key, Prefix, RESERVED};
 use crate::node::Life;
 use crate::observed::ObservedStore;
+use crate::room::check_room;
 use crate::store::{Record, Store};
 use crate::ticks::Ticks;
 
@@ -57,6 +58,7 @@ pub struct SlateStore {
     queue: mpsc::Sender<Request>,
     blobs: Blobs,
     life: Option<Arc<Life>>,
+    disk: Option<PathBuf>,
     epoch: u64,
     max_record_bytes: usize,
     max_batch_bytes: usize,
@@ -76,7 +78,7 @@ impl SlateStore {
     /// [`StoreError::Corrupt`], [`StoreError::Full`], [`StoreError::Io`]; [`StoreError::Fenced`] if
     /// `expected_epoch` is not the newest any more.
     pub async fn open(objects: Arc<dyn ObjectStore>, config: StoreConfig) -> Result<Self, StoreError> {
-        Self::open_at(Place { objects, directory: None, life: None, cache: None }, config).await
+        Self::open_at(Place { objects, directory: None, disk: None, life: None, cache: None }, config).await
     }
 
     /// A new store in memory, for tests.
@@ -88,7 +90,7 @@ impl SlateStore {
     }
 
     pub(crate) async fn open_at(place: Place, config: StoreConfig) -> Result<Self, StoreError> {
-        let Place { objects, directory, life, cache } = place;
+        let Place { objects, directory, disk, life, cache } = place;
         let settings = settings(&config, directory.is_some());
         let blobs = Blobs::new(objects.clone(), directory, config.max_blob_bytes, cache);
         let ticks = Arc::new(Ticks::after(objects.as_ref(), &Path::from(RECORDS)).await?);
@@ -122,7 +124,7 @@ impl SlateStore {
         let committer = Committer { db: db.clone(), epoch, failures, timeout, life: life.clone(), stalled: None };
         runtime.spawn(committer.run(requests));
         let StoreConfig { max_record_bytes, max_batch_bytes, .. } = config;
-        Ok(Self { db, queue, blobs, life, epoch, max_record_bytes, max_batch_bytes })
+        Ok(Self { db, queue, blobs, life, disk, epoch, max_record_bytes, max_batch_bytes })
     }
 
     fn check_sizes(&self, puts: &[Record], deletes: &[Key]) -> Result<usize, StoreError> {
@@ -136,8 +138,15 @@ impl SlateStore {
         if num_bytes > limit { Err(StoreError::BatchTooLarge { num_bytes, limit }) } else { Ok(num_bytes) }
     }
 
+    fn check_room(&self) -> Result<(), StoreError> {
+        self.disk.as_deref().map_or(Ok(()), check_room)
+    }
+
     async fn commit(&self, puts: Vec<Record>, deletes: Vec<Key>) -> Result<(), StoreError> {
         let num_bytes = self.check_sizes(&puts, &deletes)?;
+        if !puts.is_empty() {
+            self.check_room()?;
+        }
         let (done, outcome) = oneshot::channel();
         let request = Request::Commit { puts, deletes, num_bytes, done };
         self.queue.send(request).await.map_err(|_| StoreError::Closed)?;
@@ -214,7 +223,10 @@ impl Store for SlateStore {
     }
 
     fn put_blob(&self, bytes: Bytes) -> BoxFuture<'_, Result<BlobId, StoreError>> {
-        Box::pin(self.blobs.put(bytes))
+        Box::pin(async {
+            self.check_room()?;
+            self.blobs.put(bytes).await
+        })
     }
 
     fn get_blob(&self, id: BlobId) -> BoxFuture<'_, Result<Bytes, StoreError>> {
@@ -288,6 +300,8 @@ pub(crate) struct Place {
     pub(crate) objects: Arc<dyn ObjectStore>,
     /// The same as a directory on disk, if it is one and is to be synced.
     pub(crate) directory: Option<PathBuf>,
+    /// On whose disk it is, where it is a directory.
+    pub(crate) disk: Option<PathBuf>,
     /// Of the node that opens it, where data are shared.
     pub(crate) life: Option<Arc<Life>>,
     /// On this machine.

@@ -5,6 +5,7 @@
 
 mod clock_offset;
 mod extrinsics;
+mod floor_beams;
 mod imu_prior;
 mod keyframes;
 mod leading;

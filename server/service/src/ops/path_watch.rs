@@ -100,6 +100,7 @@ impl PathWatch {
             return Ok(None);
         }
         let (is_news, due) = (!self.is_of(snapshot, &zones), self.is_due(snapshot));
+        let is_zoned_anew = self.zones != zones;
         (self.zones, self.looked_at) = (zones, Some(snapshot.map_version));
         self.seen = snapshot.live.stamp().unwrap_or(self.seen);
         let Some(PlanOutcome::Path(path)) = &told.outcome else {
@@ -116,6 +117,8 @@ impl PathWatch {
             return Ok(Some(self.told(change, plan)));
         };
         let tolerance = self.request.params.unwrap_or(snapshot.params.planning).start_tolerance_m;
+        // A zone may lie around the robot, which no obstacle does of which it would have to be told.
+        let tolerance = if is_zoned_anew { 0.0 } else { tolerance };
         let left = left_of(&path.waypoints, robot(snapshot), tolerance);
         let check = misfit_on(snapshot, &left, self.request.params, &self.options(), max_cells)?;
         if check.misfit.is_some() {

@@ -60,6 +60,7 @@ impl Registry {
                 if let Some(fleet) = slot.events.fleet().filter(|_| is_new) {
                     fleet.updated(&session.meta().etag());
                 }
+                slot.events.settings_changed();
                 this.write_summary(&slot, &session).await;
             });
             let _ = noted.await;

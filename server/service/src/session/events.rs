@@ -4,12 +4,15 @@ use super::event::{Event, EventKind};
 use super::fleet::FleetLink;
 use super::history::{History, Read};
 use percept_geometry::Timestamp;
+use tokio::sync::watch;
 
 /// The events of a session; the writer never waits, a reader that falls behind gets one `Resync`.
 pub struct EventLog {
     history: History<(Timestamp, EventKind)>,
     /// Those who watch all sessions are told as well.
     fleet: Option<FleetLink>,
+    /// That what callers set is another now, which is no event of the session's own.
+    settings: watch::Sender<()>,
 }
 
 impl EventLog {
@@ -21,7 +24,7 @@ impl EventLog {
 
     /// A log whose first event gets `first_token`: above all that were given before.
     pub fn starting_at(first_token: u64, capacity: usize) -> Self {
-        Self { history: History::starting_at(first_token, capacity), fleet: None }
+        Self { history: History::starting_at(first_token, capacity), fleet: None, settings: watch::Sender::new(()) }
     }
 
     /// The same, which tells those who watch all sessions, too.
@@ -32,6 +35,16 @@ impl EventLog {
     /// Those who watch all sessions, for what is no event of the session's own.
     pub(super) fn fleet(&self) -> Option<&FleetLink> {
         self.fleet.as_ref()
+    }
+
+    /// What callers set is another now.
+    pub(super) fn settings_changed(&self) {
+        self.settings.send_replace(());
+    }
+
+    /// Changes whenever what callers set does.
+    pub fn settings(&self) -> watch::Receiver<()> {
+        self.settings.subscribe()
     }
 
     /// Appends events and wakes the watchers.

@@ -197,6 +197,14 @@ impl Session {
         matches!(*self.storing.borrow(), Storing::Well)
     }
 
+    /// Why the storage does not take what the session holds, while tries go on.
+    pub(super) fn waits_for_storage(&self) -> Option<Error> {
+        match &*self.storing.borrow() {
+            Storing::Waiting(error) => Some(error.clone()),
+            Storing::Well | Storing::Ended(_) => None,
+        }
+    }
+
     /// The session is only read from now on.
     pub(super) fn set_apart(&self, fault: Fault) {
         let _ = self.fault.set(fault);

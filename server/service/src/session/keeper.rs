@@ -1,9 +1,10 @@
 //! Puts sessions to sleep that nobody uses, and more of them when memory runs short; watches the storage.
 
 use super::fault::store_error;
+use super::life::counts;
 use super::registry::Registry;
 use super::slot::{Phase, Slot};
-use crate::{Health, Part};
+use crate::{Error, Health, Part};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -21,30 +22,47 @@ const LEAST_ROOM: usize = 4 << 20;
 /// Below this share of the budget sessions get more again.
 const ROOMY: f64 = 0.8;
 
+/// How often what awake sessions have gathered is noted: so old is what a list says of them after a crash.
+const NOTED: Duration = Duration::from_secs(10);
+
 /// How often the storage is asked while all is well and while it is not.
 const ASK_WELL: Duration = Duration::from_secs(10);
 const ASK_ILL: Duration = Duration::from_millis(500);
 /// How long an answer may take.
 const ASK_PATIENCE: Duration = Duration::from_secs(5);
 
-/// Tells whether the storage takes data, until the registry is gone: asked now and then, and at once when a write failed.
+/// Tells whether the storage takes data, until the registry is gone: asked now and then, and at once when a write failed. Where
+/// there is room for what asks, there may be none for a keyframe: a session that waits says so, too.
 pub(super) async fn watch_storage(registry: Weak<Registry>, health: Health) {
-    let (mut failures, mut is_well, mut asked) = (0, true, None::<tokio::time::Instant>);
+    let (mut failures, mut is_well, mut asked, mut has_waited) = (0, true, None::<tokio::time::Instant>, false);
     loop {
         let Some(registry) = registry.upgrade() else { return };
         let newest = registry.root.num_failures();
+        let waits = who_waits(&registry);
         let is_due = asked.is_none_or(|at| at.elapsed() >= if is_well { ASK_WELL } else { ASK_ILL });
-        if is_due || newest != failures {
+        if is_due || newest != failures || waits.is_some() {
             failures = newest;
             asked = Some(tokio::time::Instant::now());
             let answer = tokio::time::timeout(ASK_PATIENCE, registry.root.probe()).await;
             let answer = answer.unwrap_or(Err(percept_store::StoreError::Stalled { waited: ASK_PATIENCE }));
+            let answer = answer.map_err(|e| store_error(&e));
+            // One write that failed may do so by chance: seen twice it lasts.
+            let answer = answer.and_then(|()| waits.clone().filter(|_| has_waited).map_or(Ok(()), Err));
             is_well = answer.is_ok();
-            health.report(Part::Storage, answer.map_err(|e| store_error(&e)));
+            health.report(Part::Storage, answer);
         }
+        has_waited = waits.is_some();
         drop(registry);
         tokio::time::sleep(ASK_ILL).await;
     }
+}
+
+/// What a session is told that has something to store and cannot, while tries go on; of many, one.
+fn who_waits(registry: &Registry) -> Option<Error> {
+    registry.slots().iter().find_map(|slot| match slot.phase() {
+        Phase::Awake(session) => session.waits_for_storage(),
+        _ => None,
+    })
 }
 
 /// Runs until the registry is gone.
@@ -53,6 +71,22 @@ pub(super) async fn keep(registry: Weak<Registry>) {
         tokio::time::sleep(EVERY).await;
         let Some(registry) = registry.upgrade() else { return };
         round(&registry);
+    }
+}
+
+/// Notes what awake sessions have gathered, for a list after a crash, until the registry is gone.
+pub(super) async fn note_awake(registry: Weak<Registry>) {
+    loop {
+        tokio::time::sleep(NOTED).await;
+        let Some(registry) = registry.upgrade() else { return };
+        for slot in registry.slots() {
+            let Phase::Awake(session) = slot.phase() else { continue };
+            let (before, now) = (slot.known().counts, Some(counts(&session)));
+            if now != before && session.is_stored_well() {
+                slot.update_known(|known| known.counts = now);
+                registry.write_summary(&slot, &session).await;
+            }
+        }
     }
 }
 

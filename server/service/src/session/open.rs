@@ -30,6 +30,7 @@ pub(crate) async fn open(
         }
     });
     tokio::spawn(keeper::keep(Arc::downgrade(&registry)));
+    tokio::spawn(keeper::note_awake(Arc::downgrade(&registry)));
     tokio::spawn(keeper::watch_storage(Arc::downgrade(&registry), health.clone()));
     tokio::spawn(sharing::follow_catalogue(Arc::downgrade(&registry)));
     tokio::spawn(sharing::follow_node(Arc::downgrade(&registry), health));

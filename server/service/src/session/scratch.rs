@@ -64,6 +64,7 @@ impl Scratch {
     }
 
     fn write(&self, state: &mut State, bytes: &[u8]) -> io::Result<()> {
+        percept_store::check_room(&self.directory).map_err(|_| ErrorKind::StorageFull)?;
         let file = match &state.file {
             Some(file) => Arc::clone(file),
             None => Arc::clone(state.file.insert(Arc::new(tempfile::tempfile_in(&self.directory)?))),

@@ -8,6 +8,7 @@ use percept_wire::convert::{drawing, exploration, navigation};
 use percept_wire::parts::InParts;
 use percept_wire::{convert, v1};
 use std::sync::Arc;
+use tokio::sync::watch;
 use tonic::{Request, Response};
 
 const WATCH_PATH: &str = "NavigationService/WatchPath";
@@ -20,6 +21,8 @@ struct Watched {
     session: String,
     log: Arc<EventLog>,
     token: u64,
+    /// Of what callers set: zones among it.
+    settings: watch::Receiver<()>,
     watch: PathWatch,
 }
 
@@ -27,8 +30,12 @@ impl Watched {
     /// What is told next, when something is; none when the session is gone, or may not be read any more.
     async fn next(mut self) -> Option<(PathUpdate, Self)> {
         loop {
-            let events = self.log.after(self.token, EVENTS_PER_LOOK).await?;
-            self.token = events.last().map_or(self.token, |event| event.token);
+            tokio::select! {
+                events = self.log.after(self.token, EVENTS_PER_LOOK) => {
+                    self.token = events?.last().map_or(self.token, |event| event.token);
+                }
+                Ok(()) = self.settings.changed() => {}
+            }
             match self.caller.look_at_path(&self.session, self.watch.clone()).await {
                 Ok((watch, update)) => {
                     self.watch = watch;
@@ -60,9 +67,9 @@ impl v1::navigation_service_server::NavigationService for Api {
         let watch = PathWatch::new(request.map_err(status::grpc)?);
         let log = caller.session_events(WATCH_PATH, &session).await.map_err(status::grpc)?;
         // Questions that cannot be answered are refused at once, and not when the first frame comes.
-        let token = log.newest_token();
+        let (token, settings) = (log.newest_token(), log.settings());
         let (watch, first) = caller.look_at_path(&session, watch).await.map_err(status::grpc)?;
-        let watched = Watched { caller: caller.clone(), session: session.clone(), log, token, watch };
+        let watched = Watched { caller: caller.clone(), session: session.clone(), log, token, settings, watch };
         let later = futures::stream::unfold(watched, Watched::next);
         let updates = futures::stream::iter(first).chain(later);
         let asker = caller.clone();
