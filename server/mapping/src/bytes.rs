@@ -16,41 +16,36 @@ impl<'a> Reader<'a> {
         Self { rest: bytes }
     }
 
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], Damaged> {
+    /// So many bytes.
+    #[inline]
+    pub(crate) fn array<const N: usize>(&mut self) -> Result<[u8; N], Damaged> {
         let (head, rest) = self.rest.split_first_chunk::<N>().ok_or(Damaged)?;
         self.rest = rest;
         Ok(*head)
     }
 
     pub(crate) fn u8(&mut self) -> Result<u8, Damaged> {
-        self.take().map(u8::from_le_bytes)
+        self.array().map(u8::from_le_bytes)
     }
 
     pub(crate) fn u16(&mut self) -> Result<u16, Damaged> {
-        self.take().map(u16::from_le_bytes)
+        self.array().map(u16::from_le_bytes)
     }
 
     pub(crate) fn u32(&mut self) -> Result<u32, Damaged> {
-        self.take().map(u32::from_le_bytes)
+        self.array().map(u32::from_le_bytes)
     }
 
     pub(crate) fn i32(&mut self) -> Result<i32, Damaged> {
-        self.take().map(i32::from_le_bytes)
+        self.array().map(i32::from_le_bytes)
     }
 
     pub(crate) fn u64(&mut self) -> Result<u64, Damaged> {
-        self.take().map(u64::from_le_bytes)
+        self.array().map(u64::from_le_bytes)
     }
 
     pub(crate) fn f32(&mut self) -> Result<f32, Damaged> {
-        self.take().map(f32::from_le_bytes)
-    }
-
-    /// So many numbers, their bytes looked for at once.
-    pub(crate) fn f32s<const N: usize>(&mut self) -> Result<[f32; N], Damaged> {
-        let (head, rest) = self.rest.split_at_checked(4 * N).ok_or(Damaged)?;
-        self.rest = rest;
-        Ok(std::array::from_fn(|i| head[4 * i..].first_chunk().map_or(0.0, |bytes| f32::from_le_bytes(*bytes))))
+        self.array().map(f32::from_le_bytes)
     }
 
     /// A number of things, each at least a byte long, at most `limit`.

@@ -3,6 +3,7 @@
 use super::block::{BLOCK, BlockKey, VoxelMean, corner, locate};
 use super::free::{Count, FreeSpace, count_at};
 use super::fused::{Block, NO_COLOR, merge};
+use super::shift::{Shift, voxel_at};
 use super::{CloudParams, CloudUpdate, FusedCloud};
 use crate::KeyframeView;
 use crate::blocks::block_box;
@@ -10,8 +11,8 @@ use crate::bytes::{Damaged, Reader, put_f32, put_i32, put_u16, put_u32, put_u64}
 use crate::composed::Composed;
 use crate::layer::{Footprint, Layer, Placement, TileKey, joined, moved};
 use crate::sorted::sort_by_key;
-use nalgebra::{Point3, Vector3};
-use percept_geometry::{Aabb3, PointCloud, Voxel};
+use nalgebra::{Point3, Vector2, Vector3};
+use percept_geometry::{Aabb3, PointCloud};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -19,6 +20,8 @@ use std::sync::Arc;
 const TILE_BLOCKS: i32 = 8;
 /// Voxels of a block.
 const SLOTS: u64 = BLOCK.pow(3) as u64;
+/// Half of a block's diagonal, voxels, and what means of voxels may stick out by.
+const HALF_DIAGONAL: f64 = 7.0;
 /// Blocks of a stored part; bounds what damaged bytes may ask for.
 const MAX_BLOCKS: usize = 1 << 24;
 
@@ -168,17 +171,13 @@ impl Layer for FusedCloud {
 impl FusedCloud {
     /// Takes weight from what this submap saw through.
     fn carve(&self, params: &CloudParams, place: &Placement, under: &mut Under) {
-        let (t_submap_map, is_aligned) = (place.t_map_submap.inverse(), place.is_aligned());
+        let shift = (!place.is_aligned()).then(|| Shift::new(&place.t_map_submap.inverse(), params.voxel_size_m));
         // A block of the map lies across blocks of the submap beside each other: of these each has a place of its own.
         let mut known: [Option<Looked<'_>>; 8] = [None; 8];
         under.retain(|key, block| {
+            let shift = shift.as_ref().map(|shift| shift.block(*key));
             block.retain_mut(|v| {
-                let own = if is_aligned {
-                    Some((*key, v.slot))
-                } else {
-                    Voxel::containing(&(t_submap_map * position(params, *key, v)), params.voxel_size_m).map(locate)
-                };
-                let Some((key, slot)) = own else { return true };
+                let (key, slot) = shift.as_ref().map_or((*key, v.slot), |shift| locate(voxel_at(&shift.position(v))));
                 let at = &mut known[(key.0 & 1 | (key.1 & 1) << 1 | (key.2 & 1) << 2) as usize];
                 let count = match at {
                     Some((last, found)) if *last == key => *found,
@@ -217,12 +216,24 @@ impl FusedCloud {
         let near = |key: &BlockKey| (from.y..=to.y).contains(&key.1) && (from.z..=to.z).contains(&key.2);
         let mut found: Vec<(BlockKey, VoxelMean)> = Vec::new();
         let rows = self.blocks.range((from.x, i32::MIN, i32::MIN)..=(to.x, i32::MAX, i32::MAX));
-        for (key, v) in rows.filter(|(key, _)| near(key)).flat_map(|(key, b)| b.iter().map(move |v| (*key, v))) {
-            let p = place.t_map_submap * position(params, key, v);
-            let Some((block, slot)) = Voxel::containing(&p, params.voxel_size_m).map(locate) else { continue };
-            if xs.contains(&block.0) && ys.contains(&block.1) {
-                let offset = (p - corner(block, slot, params.voxel_size_m)).cast::<f32>().into();
-                found.push((block, VoxelMean { slot, offset, ..*v }));
+        let shift = Shift::new(&place.t_map_submap, params.voxel_size_m);
+        let side = f64::from(TILE_BLOCKS * BLOCK);
+        let low = Vector2::new(f64::from(tile.0), f64::from(tile.1)) * side;
+        for (key, voxels) in rows.filter(|(key, _)| near(key)) {
+            let shift = shift.block(*key);
+            let off = (shift.middle().xy() - low).add_scalar(-0.5 * side).abs();
+            if off.max() > 0.5 * side + HALF_DIAGONAL {
+                continue;
+            }
+            for v in voxels.iter() {
+                let p = shift.position(v);
+                let voxel = voxel_at(&p);
+                let (block, slot) = locate(voxel);
+                if xs.contains(&block.0) && ys.contains(&block.1) {
+                    let within = [p.x - f64::from(voxel.x), p.y - f64::from(voxel.y), p.z - f64::from(voxel.z)];
+                    let offset = within.map(|v| (v * params.voxel_size_m) as f32);
+                    found.push((block, VoxelMean { slot, offset, ..*v }));
+                }
             }
         }
         // Stable: those that fall into one voxel are folded in the order of the submap's.
@@ -316,8 +327,12 @@ fn take_key(from: &mut Reader<'_>) -> Result<BlockKey, Damaged> {
     Ok((from.i32()?, from.i32()?, from.i32()?))
 }
 
+/// Its bytes are looked for at once: there are millions.
 fn take_voxel(from: &mut Reader<'_>) -> Result<VoxelMean, Damaged> {
-    let (slot, numbers) = (from.u16()?, from.f32s::<7>()?);
+    let bytes = from.array::<30>()?;
+    let slot = u16::from_le_bytes([bytes[0], bytes[1]]);
+    let number = |i: usize| f32::from_le_bytes(std::array::from_fn(|k| bytes[2 + 4 * i + k]));
+    let numbers: [f32; 7] = std::array::from_fn(number);
     let [weight, x, y, z, r, g, b] = numbers;
     let (colored, slot) = (slot >> 15 == 1, slot & 0x7fff);
     let is_sound = i32::from(slot) < BLOCK.pow(3) && numbers.iter().all(|n| n.is_finite());

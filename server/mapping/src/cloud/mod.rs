@@ -10,6 +10,7 @@ pub(crate) mod free;
 mod fused;
 mod params;
 pub(crate) mod range_image;
+mod shift;
 mod update;
 
 pub use compose::{CloudMap, CloudTile};
