@@ -265,3 +265,21 @@ fn along_a_blank_wall_no_motion_that_nothing_shows_is_called_measured() {
         assert!(i == 0 || e.state.is_lost() || open, "frame {i}: {:?} {:?}", e.state, e.degenerate_axes);
     }
 }
+
+/// By a portrait camera of few pixels: at this range their noise turns normals by some degrees, which is no shape.
+#[test]
+fn a_turn_before_a_far_wall_is_not_taken_for_a_move_along_it() {
+    let mut room = Room::furnished();
+    room.boxes.clear();
+    room.walls = (nalgebra::Vector3::new(-50.0, -50.0, 0.0), nalgebra::Vector3::new(3.5, 50.0, 50.0));
+    let camera = CameraIntrinsics::pinhole(240, 320, 230.0, 230.0, 119.5, 159.5);
+    let mut noise = Noise(3);
+    let mut odometry = Odometry::new(OdometryKind::Rgbd, OdometryParams::default());
+    for i in 0..12 {
+        let t = se3::from_xy_yaw(0.0, 0.0, 0.02 * i as f64);
+        let e = odometry.register(stamp(i), &room.depth_by(camera, &t, &mut noise), None);
+        let (m, rad) = off(&e, &t);
+        assert!(i == 0 || e.degenerate_axes[1], "frame {i}: {:?}", e.degenerate_axes);
+        assert!(m < 0.05 && rad < 0.01, "frame {i}: {m} m {rad} rad");
+    }
+}

@@ -52,7 +52,11 @@ impl Room {
     }
 
     pub(crate) fn depth(&self, t_world_base: &Pose, noise: &mut Noise) -> Scan {
-        let k = CameraIntrinsics::primesense();
+        self.depth_by(CameraIntrinsics::primesense(), t_world_base, noise)
+    }
+
+    /// The same by another camera.
+    pub(crate) fn depth_by(&self, k: CameraIntrinsics, t_world_base: &Pose, noise: &mut Noise) -> Scan {
         let t_base_sensor = camera_mount();
         let t = t_world_base * t_base_sensor;
         let origin = Point3::from(t.translation.vector);

@@ -10,7 +10,7 @@ use super::photometric::Photometric;
 use super::surfels::View;
 use crate::odometry::{Found, Registration};
 use crate::tracking::LostReason;
-use nalgebra::{Matrix3, Matrix6, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use percept_geometry::{CameraIntrinsics, Covariance6, Pose, se3};
 use percept_perception::registration::{Degeneracy, NormalEquations, accumulate};
 
@@ -76,6 +76,7 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Registration, LostReason> {
     let mut iterations = 0;
     let mut last = None;
     for level in problem.levels {
+        let told = told_by_both(problem, level, &t_view_camera);
         for _ in 0..level.iterations {
             let e = equations(problem, level, &t_view_camera, scale);
             let found = e.num_residuals;
@@ -83,7 +84,7 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Registration, LostReason> {
             if (found as f64) < needed.max(100.0) {
                 return Err(LostReason::TooFewCorrespondences);
             }
-            let degeneracy = Degeneracy::of(&e, &problem.frame.centroid, problem.frame.spread, DEGENERATE);
+            let degeneracy = degeneracy(problem, &e, &told);
             let pull = se3::log(&(problem.start.inverse() * t_view_camera));
             let light = problem
                 .photometric
@@ -109,6 +110,43 @@ pub(crate) fn align(problem: &Problem<'_>) -> Result<Registration, LostReason> {
     judge(problem, &t_view_camera, &e, &degeneracy, &information, iterations)
 }
 
+/// What frame and model tell together, in the same units: the information of residuals of which one half of each product is of the
+/// frame's normals and the other of the model's.
+///
+/// Noise of normals makes a bare wall look as if it told where along it the camera is, whatever the noise is; that of the frame
+/// has nothing to do with that of the model, and goes out of such products (as in instrumental variables, Söderström and Stoica,
+/// "Instrumental variable methods for system identification", 1983).
+fn told_by_both(problem: &Problem<'_>, level: &Level, t_view_camera: &Pose) -> NormalEquations {
+    let (t, stride) = (Rigid32::from(t_view_camera), level.stride.max(LEVELS[0].stride));
+    let (width, height) = (problem.frame.width / stride, problem.frame.height / stride);
+    accumulate(width * height, CHUNK, |i, e| {
+        let (u, v) = (i % width * stride, i / width * stride);
+        let vertex = &problem.frame.vertices[v * problem.frame.width + u];
+        let Some((model, noise)) = partner(problem, &t, vertex, level.gate) else { return };
+        let of = |n: Vector3<f32>| {
+            let m = vertex.p.cross(&n);
+            Vector6::new(n.x, n.y, n.z, m.x, m.y, m.z).map(f64::from)
+        };
+        let (a, b) = (of(vertex.n / noise), of(t.r.tr_mul(&model.n) / noise));
+        // a b' + b a' is half of what their sum tells less what their difference does.
+        e.add(&(a + b).into(), 0.0, 0.25);
+        e.add(&(a - b).into(), 0.0, -0.25);
+    })
+}
+
+/// What depth leaves open: by the residuals, and by what is left of them without the noise of normals.
+fn degeneracy(problem: &Problem<'_>, e: &NormalEquations, told: &NormalEquations) -> Degeneracy {
+    let by_all = Degeneracy::of(e, &problem.frame.centroid, problem.frame.spread, DEGENERATE);
+    let told = told.hessian();
+    let all = told.fixed_view::<3, 3>(0, 0).trace();
+    if all <= 0.0 {
+        return by_all;
+    }
+    let by_both = |k: usize| by_all.direction(k).dot(&(told * by_all.direction(k))) / all;
+    let eigenvalues = Vector6::from_fn(|k, _| by_all.eigenvalues[k].min(by_both(k)).max(0.0));
+    by_all.with_eigenvalues(eigenvalues, DEGENERATE)
+}
+
 /// Adds up the level's residuals, in units of their noise.
 fn equations(problem: &Problem<'_>, level: &Level, t_view_camera: &Pose, scale: f64) -> NormalEquations {
     let t = Rigid32::from(t_view_camera);
@@ -123,20 +161,23 @@ fn equations(problem: &Problem<'_>, level: &Level, t_view_camera: &Pose, scale: 
     })
 }
 
+/// What of the model lies where a point of the frame is seen, and the point's noise, metres; none if they are not of one surface.
+#[inline]
+fn partner<'a>(problem: &'a Problem<'_>, t: &Rigid32, v: &Vertex, gate: f32) -> Option<(&'a Vertex, f32)> {
+    let moved = t.apply(&v.p);
+    let model = &problem.view.vertices[pixel(problem.camera, &moved)?];
+    if v.p.z <= 0.0 || model.p.z <= 0.0 {
+        return None;
+    }
+    let (d, noise) = (moved - model.p, sigma(v.p.z));
+    let gate = gate + 2.0 * noise;
+    (d.norm_squared() <= gate * gate && (t.r * v.n).dot(&model.n) >= 0.7).then_some((model, noise))
+}
+
 #[inline]
 fn add(problem: &Problem<'_>, t: &Rigid32, v: &Vertex, gate: f32, cut: f32, e: &mut NormalEquations) {
-    let moved = t.apply(&v.p);
-    let Some(index) = pixel(problem.camera, &moved) else { return };
-    let model = &problem.view.vertices[index];
-    if model.p.z <= 0.0 {
-        return;
-    }
-    let d = moved - model.p;
-    let noise = sigma(v.p.z);
-    let gate = gate + 2.0 * noise;
-    if d.norm_squared() > gate * gate || (t.r * v.n).dot(&model.n) < 0.7 {
-        return;
-    }
+    let Some((model, noise)) = partner(problem, t, v, gate) else { return };
+    let d = t.apply(&v.p) - model.p;
     let residual = model.n.dot(&d) / noise;
     let x = residual / cut;
     let kernel = if x.abs() < 1.0 { (1.0 - x * x) * (1.0 - x * x) } else { 0.0 };
