@@ -136,6 +136,7 @@ def test_two_that_are_one_are_told_as_one(session):
     for thing in (part, whole):
         # The whole's box holds both middles.
         aside = listed(session, include_set_aside=True)[thing]
+        assert np.allclose(listed(session, include_set_aside=True)[whole].box.size_m, after[whole].box.size_m)
         inside = np.linalg.inv(after[whole].box.t_frame_box.matrix) @ [*aside.box.centre, 1]
         assert (np.abs(inside[:3]) <= after[whole].box.size_m / 2 + 1e-6).all()
     session.scene.restore_object(part)
@@ -264,8 +265,13 @@ def test_what_cannot_be_is_refused(session):
             call()
         assert (error.value.reason, error.value.field) == (reason, field)
     # Nothing can be learned from what is not there.
-    session.scene.split_object(other, [box, dataclasses.replace(box, t_frame_box=Pose.from_xyz(50.0, 0, 0))])
-    far = max(listed(session).values(), key=lambda o: o.box.centre[0])
+    own = session.scene.object(other).box
+    above = Pose.from_xyz(*own.centre + (0, 0, own.size_m[2] / 2 + 0.6))
+    apart = dataclasses.replace(own, t_frame_box=Pose.from_xyz(*own.centre + (500.0, 0, 0)))
+    with pytest.raises(InvalidArgument, match="away from the thing") as error:
+        session.scene.split_object(other, [own, apart])
+    assert error.value.field == "pieces.boxes[1]"
+    _, _, far = session.scene.split_object(other, [own, OrientedBox(t_frame_box=above, size_m=(0.2, 0.2, 0.2))])
     with pytest.raises(FailedPrecondition) as error:
         session.scene.label(far.object_id, "ghost", learn=True)
     assert error.value.reason == "OBJECT_NOT_IN_MAP"

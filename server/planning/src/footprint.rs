@@ -73,8 +73,13 @@ impl Footprint {
                 );
             }
         }
-        if edges.iter().all(|e| to_edge(&Point2::origin(), e) > 1e-9) && !contains(corners, &Point2::origin()) {
-            return refuse(field, 0.0, "give corners in the base frame, around the base at (0, 0)");
+        let outside = edges.iter().map(|e| to_edge(&Point2::origin(), e)).fold(f64::INFINITY, f64::min);
+        if outside > 1e-9 && !contains(corners, &Point2::origin()) {
+            return refuse(
+                field,
+                outside,
+                "give corners in the base frame, around the base at (0, 0), which is so many metres outside",
+            );
         }
         Ok(())
     }

@@ -6,6 +6,8 @@ use percept_geometry::{ObjectClass, OrientedBox3};
 
 /// Boxes that an object can be split into, at most.
 pub const MAX_PIECES: usize = 16;
+/// A piece reaches out of what was seen of the thing by less, metres: a bed's foot end, say.
+const PIECE_OFF_M: f64 = 1.0;
 
 /// What a person says of an object.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +25,7 @@ pub enum Correction {
 }
 
 /// Why a correction cannot be made.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CorrectionError {
     /// There is no such object.
     #[error("object {0} does not exist")]
@@ -43,6 +45,14 @@ pub enum CorrectionError {
     /// A box that cannot be.
     #[error("box {0} is not finite, or has an edge that is not from 1 mm to 10 km")]
     Box(usize),
+    /// A piece that lies elsewhere.
+    #[error("box {index} is {off_m:.1} m away from the thing; pieces lie within it: give boxes in the map frame")]
+    Elsewhere {
+        /// Which.
+        index: usize,
+        /// From the thing's box, metres.
+        off_m: f64,
+    },
     /// The list is at its limit.
     #[error("{limit} objects are followed, the limit")]
     TooMany {
@@ -172,6 +182,15 @@ impl Tracker {
         };
         if let Some(i) = boxes.iter().position(|b| !usable(b)) {
             return Err(CorrectionError::Box(i));
+        }
+        // As it is told: with what was merged into it.
+        let id = self.tracks[index].id;
+        let parts = self.tracks.iter().filter(|t| id.is_some() && t.annotation.part_of == id);
+        let whole = parts.fold(self.tracks[index].bbox, |whole, part| overlap::hull(&whole, &part.bbox));
+        if let Some((index, off_m)) =
+            boxes.iter().map(|b| overlap::gap(&whole, b)).enumerate().find(|(_, off)| *off > PIECE_OFF_M)
+        {
+            return Err(CorrectionError::Elsewhere { index, off_m });
         }
         let limit = self.params.max_objects;
         if self.tracks.len() + boxes.len() > limit {

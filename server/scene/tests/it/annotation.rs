@@ -158,6 +158,10 @@ fn what_cannot_be_is_refused_and_nothing_changes() {
     ] {
         assert_eq!(t.annotate(id, correction), Err(why));
     }
+    let inside = t.objects()[0].bbox;
+    let away = OrientedBox3::upright(inside.center() + Vector3::new(500.0, 0.0, 0.0), Vector3::repeat(0.2), 0.0);
+    let apart = t.annotate(zero, Correction::Split(vec![inside, away]));
+    assert!(matches!(apart, Err(CorrectionError::Elsewhere { index: 1, off_m }) if off_m > 490.0), "{apart:?}");
     t.annotate(one, Correction::Delete).unwrap();
     assert_eq!(t.annotate(zero, Correction::PartOf(one)), Err(CorrectionError::NoWhole(one)));
     let halves = || Correction::Split(vec![boxed(1.0); 2]);

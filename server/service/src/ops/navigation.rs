@@ -385,7 +385,13 @@ pub fn words_of(reason: Option<NoPathReason>) -> &'static str {
 pub(super) fn plan_error(e: PlanError) -> Error {
     match e {
         PlanError::InvalidParam { field, value, remedy } => {
-            Error::invalid(reason::PARAMETER_OUT_OF_RANGE, place_of(field), format!("{field} is {value}; {remedy}"))
+            let place = place_of(field);
+            let message = match field {
+                // What is told is not the field's value, but what is wrong with it.
+                "footprint.polygon" | "zones.polygon" => format!("{place} cannot be taken ({value}): {remedy}"),
+                _ => format!("{place} is {value}; {remedy}"),
+            };
+            Error::invalid(reason::PARAMETER_OUT_OF_RANGE, place, message)
         }
         PlanError::NotFinite { field, value } => {
             Error::invalid(reason::OUT_OF_RANGE, field, format!("{field} is {value}; it must be finite"))

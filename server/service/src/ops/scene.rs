@@ -73,8 +73,14 @@ impl Service {
         let (map_version, max_cells) = (snapshot.map_version, self.limits.max_planning_cells);
         let is_by_distance = query.filter.near.is_some();
         let select = move || {
-            let objects = if query.include_set_aside { &snapshot.tracked } else { &snapshot.objects };
-            let mut found = query.filter.of(objects);
+            let mut found = if query.include_set_aside {
+                // Listed ones as they are told, with what was merged into them.
+                let listed = |o: &Object| snapshot.objects.binary_search_by_key(&o.id, |l| l.id).ok();
+                let told = |o: &Object| listed(o).map_or(o, |i| &snapshot.objects[i]).clone();
+                query.filter.of(&snapshot.tracked.iter().map(told).collect::<Vec<_>>())
+            } else {
+                query.filter.of(&snapshot.objects)
+            };
             if let Some(room) = query.room {
                 let rooms = snapshot.rooms(max_cells).map_err(refused)?;
                 rooms.get(room).ok_or_else(|| super::rooms::unknown(room.0))?;
@@ -226,7 +232,7 @@ fn correction_error(id: u64, error: &CorrectionError) -> Error {
         CorrectionError::PartOfItself(_) | CorrectionError::NoWhole(_) => invalid("part_of"),
         CorrectionError::Deleted(_) => invalid("object_id"),
         CorrectionError::Pieces(_) => invalid("pieces"),
-        CorrectionError::Box(i) => invalid(&format!("pieces.boxes[{i}]")),
+        CorrectionError::Box(i) | CorrectionError::Elsewhere { index: i, .. } => invalid(&format!("pieces.boxes[{i}]")),
         CorrectionError::TooMany { .. } => invalid("pieces"),
     }
 }

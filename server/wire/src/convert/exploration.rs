@@ -7,7 +7,7 @@ use crate::{params, v1};
 use percept_pipeline::PipelineParams;
 use percept_planning::coverage::{CoverageDirection, CoverageLegKind};
 use percept_planning::flight::{FlightOutcome, FlightParams, FlightPlanner};
-use percept_planning::{CellState, CoverageOutcome, CoverageParams, Frontier};
+use percept_planning::{CellState, CoverageOutcome, CoverageParams, Frontier, NoPathReason};
 use percept_service::{Error, Explored, FlightQuestion, FrontierRequest, Result, reason};
 use std::time::Duration;
 
@@ -150,15 +150,24 @@ pub fn flown_to(answer: &Explored<FlightOutcome>) -> v1::PlanFlightResponse {
                 Some(FlightOutcome::NoPath { reason, blocking }) => (Some(*reason), *blocking),
                 _ => (None, None),
             };
-            let (reason, detail) = reason_to(reason);
+            let (told, words) = reason_to(reason);
+            let detail = match reason {
+                Some(NoPathReason::StartInKeepOut | NoPathReason::GoalInKeepOut) => {
+                    format!("{words}, or below min_z_m or above max_z_m")
+                }
+                Some(NoPathReason::StartOutsideMap | NoPathReason::GoalOutsideMap) => {
+                    format!("{words}, or of the region that was asked for")
+                }
+                _ => words.to_owned(),
+            };
             let state = blocking.map_or(v1::BlockingState::Unspecified, |b| match b.state {
                 CellState::Unknown => v1::BlockingState::Unknown,
                 CellState::KeepOut => v1::BlockingState::KeepOut,
                 _ => v1::BlockingState::Occupied,
             });
             Outcome::NoPath(v1::NoFlight {
-                reason: reason.into(),
-                detail: detail.to_owned(),
+                reason: told.into(),
+                detail,
                 position: blocking.map(|b| vector(&b.position)),
                 obstacle: blocking.map(|b| vector(&b.obstacle)),
                 state: state.into(),

@@ -21,7 +21,7 @@ impl Refused {
             "detail": message.into(),
             "reason": reason,
             "field": "",
-            "code": "INVALID_ARGUMENT",
+            "code": if status == StatusCode::FORBIDDEN { "PERMISSION_DENIED" } else { "INVALID_ARGUMENT" },
             "trace_id": status::trace_id(),
         });
         let response = (status, [(header::CONTENT_TYPE, "application/problem+json")], body.to_string());
