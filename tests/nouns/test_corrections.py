@@ -266,8 +266,8 @@ def test_what_cannot_be_is_refused(session):
         assert (error.value.reason, error.value.field) == (reason, field)
     # Nothing can be learned from what is not there.
     own = session.scene.object(other).box
-    above = Pose.from_xyz(*own.centre + (0, 0, own.size_m[2] / 2 + 0.6))
-    apart = dataclasses.replace(own, t_frame_box=Pose.from_xyz(*own.centre + (500.0, 0, 0)))
+    above = Pose.from_xyz(*np.add(own.centre, (0, 0, own.size_m[2] / 2 + 0.6)))
+    apart = dataclasses.replace(own, t_frame_box=Pose.from_xyz(*np.add(own.centre, (500.0, 0, 0))))
     with pytest.raises(InvalidArgument, match="away from the thing") as error:
         session.scene.split_object(other, [own, apart])
     assert error.value.field == "pieces.boxes[1]"

@@ -266,7 +266,7 @@ def test_a_watched_path_is_told_of_zones_while_no_frame_comes(client):
     for i, pose in enumerate(world.drive(40)):
         session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
     at = np.array(session.pose().t_map_base.translation[:2])
-    goal = at + (1.5, 0.0)
+    goal = np.add(at, (1.5, 0.0))
     with session.watch_path(tuple(goal)) as watch:
         assert next(watch).change == "first"
         for center, half in [(goal, 0.2), (at, 0.4)]:
