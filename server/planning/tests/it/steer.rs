@@ -221,7 +221,7 @@ fn footprints_that_make_no_sense_are_refused_by_what_is_wrong() {
     assert_eq!(refused(polygon(&[[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])), ("footprint.polygon", 0.0));
     assert!(refused(polygon(&[[f64::NAN, 1.0], [-1.0, 0.0], [0.0, -1.0]])).1.is_nan());
     assert_eq!(refused(polygon(&[[101.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])).1, 101.0);
-    assert_eq!(refused(polygon(&[[2.0, 0.0], [1.0, 1.0], [1.0, -1.0]])), ("footprint.polygon", 0.0), "base outside");
+    assert_eq!(refused(polygon(&[[2.0, 0.0], [1.0, 1.0], [1.0, -1.0]])), ("footprint.polygon", 1.0), "base outside");
     assert_eq!(refused(polygon(&[[1.0, 0.0], [-1.0, 0.0], [0.5, 0.0]])).0, "footprint.polygon", "flat");
     assert_eq!(Footprint::rectangle(0.9, 0.6).validate(), Ok(()));
     assert_eq!(Footprint::Disc { radius_m: 100.0 }.validate(), Ok(()));
