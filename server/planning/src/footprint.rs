@@ -34,7 +34,7 @@ impl Footprint {
     ///
     /// # Errors
     /// `InvalidParam`: `footprint.radius_m`, or `footprint.polygon` with the number of corners, the coordinate, or the
-    /// index of the edge or corner that is refused (edge i goes from corner i to the next).
+    /// index of the edge or corner that is refused (edge i goes from corner i to the next), or how far outside base lies, metres.
     pub fn validate(&self) -> Result<(), PlanError> {
         let refuse = |field, value, remedy| Err(PlanError::InvalidParam { field, value, remedy });
         let corners = match self {

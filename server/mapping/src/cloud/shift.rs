@@ -59,3 +59,35 @@ pub(super) fn voxel_at(p: &Point3<f64>) -> Voxel {
     };
     Voxel { x: floor(p.x), y: floor(p.y), z: floor(p.z) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::block::{corner, locate};
+    use super::*;
+    use percept_geometry::se3;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// As voxels are moved one by one, by metres.
+        #[test]
+        fn voxels_come_to_lie_where_the_motion_takes_their_means(
+            twist in prop::array::uniform6(-3.0..3.0f64),
+            key in (-500..500i32, -500..500i32, -50..50i32),
+            slot in 0..512u16,
+            share in prop::array::uniform3(0.0..1.0f32),
+            size in 0.01..0.5f64,
+        ) {
+            let motion = se3::exp(&twist.into());
+            let offset = share.map(|s| s * size as f32);
+            let v = VoxelMean { slot, colored: false, weight: 1.0, offset, color: [0.0; 3] };
+            let plain = motion * (corner(key, slot, size) + Vector3::from(offset).cast::<f64>());
+            let shift = Shift::new(&motion, size);
+            let moved = shift.block(key).position(&v);
+            prop_assert!((moved.coords * size - plain.coords).norm() < 1e-9);
+            let border = moved.coords.map(|c| (c - c.round()).abs()).min();
+            if border > 1e-6 {
+                prop_assert_eq!(Some(locate(voxel_at(&moved))), Voxel::containing(&plain, size).map(locate));
+            }
+        }
+    }
+}

@@ -117,7 +117,7 @@ impl PathWatch {
             return Ok(Some(self.told(change, plan)));
         };
         let tolerance = self.request.params.unwrap_or(snapshot.params.planning).start_tolerance_m;
-        // A zone may lie around the robot, which no obstacle does of which it would have to be told.
+        // Where zones have changed, what is near the robot counts as well: one may lie around it.
         let tolerance = if is_zoned_anew { 0.0 } else { tolerance };
         let left = left_of(&path.waypoints, robot(snapshot), tolerance);
         let check = misfit_on(snapshot, &left, self.request.params, &self.options(), max_cells)?;

@@ -8,12 +8,15 @@ use percept_wire::convert::{drawing, exploration, navigation};
 use percept_wire::parts::InParts;
 use percept_wire::{convert, v1};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::watch;
 use tonic::{Request, Response};
 
 const WATCH_PATH: &str = "NavigationService/WatchPath";
 /// Events that are stepped over at a time: a path is looked at once for all of them.
 const EVENTS_PER_LOOK: usize = 64;
+/// After so long a path is looked at again that could not be.
+const BUSY: Duration = Duration::from_secs(1);
 
 /// A watched path between two looks.
 struct Watched {
@@ -44,8 +47,11 @@ impl Watched {
                     }
                 }
                 Err(e) if e.code == ErrorCode::NotFound => return None,
-                // A server that is busy looks when the next event comes.
-                Err(_) => {}
+                // A server that is busy looks again soon: where no frame comes, no other event may.
+                Err(_) => {
+                    tokio::time::sleep(BUSY).await;
+                    self.settings.mark_changed();
+                }
             }
         }
     }
