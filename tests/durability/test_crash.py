@@ -131,8 +131,7 @@ def test_a_watch_goes_on_when_the_server_is_back_and_is_told_that_events_are_mis
             scan = world.scan(world.drive(1)[0])
             with session.watch(resume_token=0) as watch:
                 session.send_scan("laser", stamp_ns=1, **scan)
-                first = next(watch)
-                assert first.token == 1
+                next(watch)
                 end(server)
                 server.start()
                 # More events than before: their places in the order must not be taken for the old ones.

@@ -167,7 +167,7 @@ TURNING = (0.0, 0.0, np.radians(2.0) * 1e9 / world.FRAME_NS)
         (tuple(np.degrees(TURNING)), GRAVITY, 0, ["turns_unlike"], "in degrees; send rad/s"),
         ((TURNING[2], 0.0, 0.0), GRAVITY, 0, ["turns_unlike"], "by 90 degrees"),
         ((0.0, 0.0, -TURNING[2]), GRAVITY, 0, ["turns_unlike"], "by 180 degrees"),
-        (TURNING, GRAVITY, -2 * 10**9, ["samples_missing"], "before the frames"),
+        (TURNING, GRAVITY, -2 * 10**9, ["clock_apart", "samples_missing"], "before the frames"),
     ],
     ids=["right", "g", "no_gravity", "degrees", "on_its_side", "upside_down", "late"],
 )
@@ -267,6 +267,20 @@ def test_a_mount_beyond_any_robot_is_told(client):
     session.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
     (status,) = session.sensors.list()
     assert [t.kind for t in status.troubles] == ["mount_far"]
+
+
+@pytest.mark.parametrize("ahead_s", [-1_700_000_000.0, -60.0, 3.0])
+def test_a_sensor_whose_clock_is_another_is_told_and_not_the_one_that_it_is_compared_with(client, ahead_s):
+    session = client.sessions.create(sensors=[world.LASER, world.WHEELS])
+    with session.stream() as stream:
+        for i, pose in enumerate(world.drive(10)):
+            stamp_ns = 1_700_000_001 * 10**9 + i * 10**8
+            stream.send_odometry("wheels", stamp_ns=stamp_ns + int(ahead_s * 1e9), t_odom_base=pose)
+            stream.send_scan("laser", stamp_ns=stamp_ns, **world.scan(pose))
+    status = {s.spec.sensor_id: s for s in session.sensors.list()}
+    assert "clock_apart" in [t.kind for t in status["wheels"].troubles]
+    assert ("ahead of" if ahead_s > 0 else "behind") in status["wheels"].verdict_message
+    assert status["laser"].verdict == "good"
 
 
 def test_a_planar_lidar_that_stands_on_edge_moves_no_pose(client):

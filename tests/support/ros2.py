@@ -111,6 +111,12 @@ def odometry(ns: int, t_odom_base: Pose) -> Any:
     )
 
 
+def pose_stamped(ns: int, frame: str, of: Pose) -> bytes:
+    """Encoded, as a goal is published."""
+    message = T["geometry_msgs/msg/PoseStamped"](header=header(ns, frame), pose=pose(of))
+    return bytes(STORE.serialize_cdr(message, "geometry_msgs/msg/PoseStamped"))
+
+
 def image(ns: int, frame: str, pixels: np.ndarray, encoding: str) -> Any:
     return T["sensor_msgs/msg/Image"](
         header=header(ns, frame),

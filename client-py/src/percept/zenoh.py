@@ -159,7 +159,8 @@ class _Peer:
 
 
 class SensorPublisher(_Peer, FrameSender[None]):
-    """Publishes frames, reliably and in order; a slow server makes `send_*` wait.
+    """Publishes frames, reliably and in order. A server that is too slow for them drops the oldest ones
+    that wait, and counts them; of a sensor with `overload_policy="block"` it makes `send_*` wait instead.
 
     zenoh does not answer: what the server refused, it counts. See MapReader.sensors(). Frames are numbered,
     so that it counts the missing ones, too.

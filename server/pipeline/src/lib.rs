@@ -29,6 +29,7 @@ mod visibility;
 pub use beside::Executor;
 pub use chunks::Chunks;
 pub use frame_error::FrameError;
+pub use frontend::{MOSTLY_STRAY, share_of_strays};
 pub use frontend::{MountOffset, WheelsFault, check_frame};
 pub use live::Live;
 pub use lookup::{LookupError, PoseAt};

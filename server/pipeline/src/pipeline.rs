@@ -13,7 +13,7 @@ pub use given::NotEmpty;
 pub use report::FrameReport;
 pub use settings::may_change;
 
-use crate::frontend::{Frontend, Keyframe, Registered, Unanchored, View};
+use crate::frontend::{FoundAt, Frontend, Keyframe, Registered, Unanchored, View};
 use crate::live::{NewestFrames, Seen};
 use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
 use crate::related::RelatedThings;
@@ -51,6 +51,8 @@ pub struct Pipeline {
     related: RelatedThings,
     /// Where the robot is now.
     pose: Option<PoseEstimate>,
+    /// Where the robot was last found in the map.
+    found_at: Option<FoundAt>,
     /// Where the robot starts in a map that was given, base to map, if that was told; until it does.
     start: Option<Pose>,
     /// As counted at the newest keyframe; the map counts itself.
@@ -73,6 +75,7 @@ impl Pipeline {
             divided: DividedMap::default(),
             related: RelatedThings::default(),
             pose: None,
+            found_at: None,
             start: None,
             memory: SessionMemory::default(),
             params: Arc::new(params),
@@ -234,6 +237,7 @@ impl Pipeline {
         };
         let Some(found) = self.map_graph.relocalise(&unanchored, update) else { return estimate };
         update.joined.iter().for_each(|k| self.frontend.go_on_from(&k.info.sensor, &k.t_odom_base));
+        self.found_at = found.at;
         self.frontend.found(found)
     }
 
@@ -285,7 +289,9 @@ impl Pipeline {
             state: estimate.state,
             t_map_base: self.map_graph.t_map_odom() * estimate.t_odom_base,
             t_odom_base: estimate.t_odom_base,
-            covariance: estimate.covariance,
+            covariance: self
+                .found_at
+                .map_or(estimate.covariance, |found| found.since(&estimate.t_odom_base, &estimate.covariance)),
             inlier_ratio: estimate.inlier_ratio,
             rmse_m: estimate.rmse_m,
             degenerate_axes: estimate.degenerate_axes,

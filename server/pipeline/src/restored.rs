@@ -67,6 +67,8 @@ pub struct Restored {
     pub objects: Vec<Object>,
     /// Number that the next object gets.
     pub next_object_id: u64,
+    /// Where a robot that has not come yet starts in a map that was given, base to map, if that was told.
+    pub start: Option<Pose>,
     /// Newest accepted stamp of each sensor, its own clock.
     pub last_stamps: BTreeMap<SensorId, Timestamp>,
     /// No version of the map that somebody was told of is newer: all of the map is, from now on.

@@ -110,6 +110,7 @@ reasons! {
         UPLOAD_MIXED: "The parts of an upload are of different kinds; send one kind.",
         VIEWS_INVALID: "Views do not fit the pixels, or each other.",
         VOXEL_TOO_SMALL: "The voxels are too small for the cloud's extent; make them larger.",
+        WEBSOCKET_REQUIRED: "The address speaks Foxglove's WebSocket protocol, and the request is no handshake of it; open it in Foxglove.",
     }
     NotFound {
         CLASS_NOT_FOUND: "No examples of this class were given in the session; list its classes.",

@@ -140,6 +140,10 @@ class StreamTroubleKind(Name):
     STAMP_UNIT = "stamp_unit"
     #: Its mount is farther from the robot's base than any robot reaches.
     MOUNT_FAR = "mount_far"
+    #: Its stamps are far from those of another sensor that come at the same time.
+    CLOCK_APART = "clock_apart"
+    #: Most returns of a planar lidar stand alone, as from dust or rain.
+    STRAY_RETURNS = "stray_returns"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -237,6 +237,10 @@ class _StreamTroubleKindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Str
     """Its stamps are in another unit than nanoseconds."""
     STREAM_TROUBLE_KIND_MOUNT_FAR: _StreamTroubleKind.ValueType  # 19
     """Its mount is farther from the robot's base than any robot reaches: another unit than metres."""
+    STREAM_TROUBLE_KIND_CLOCK_APART: _StreamTroubleKind.ValueType  # 20
+    """Its stamps are far from those of another sensor that come at the same time: another clock, or a link that holds messages up."""
+    STREAM_TROUBLE_KIND_STRAY_RETURNS: _StreamTroubleKind.ValueType  # 21
+    """Most returns of a planar lidar stand alone, as from dust or rain: such scans are not used."""
 
 class StreamTroubleKind(_StreamTroubleKind, metaclass=_StreamTroubleKindEnumTypeWrapper):
     """What may be wrong with a sensor's stream."""
@@ -280,6 +284,10 @@ STREAM_TROUBLE_KIND_STAMP_UNIT: StreamTroubleKind.ValueType  # 18
 """Its stamps are in another unit than nanoseconds."""
 STREAM_TROUBLE_KIND_MOUNT_FAR: StreamTroubleKind.ValueType  # 19
 """Its mount is farther from the robot's base than any robot reaches: another unit than metres."""
+STREAM_TROUBLE_KIND_CLOCK_APART: StreamTroubleKind.ValueType  # 20
+"""Its stamps are far from those of another sensor that come at the same time: another clock, or a link that holds messages up."""
+STREAM_TROUBLE_KIND_STRAY_RETURNS: StreamTroubleKind.ValueType  # 21
+"""Most returns of a planar lidar stand alone, as from dust or rain: such scans are not used."""
 Global___StreamTroubleKind: _TypeAlias = StreamTroubleKind  # noqa: Y015
 
 @_typing.final

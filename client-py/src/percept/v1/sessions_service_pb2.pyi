@@ -569,7 +569,9 @@ class WatchSessionRequest(_message.Message):
     session_id: _builtins.str
     """Which session."""
     resume_token: _builtins.int
-    """Token of the last event seen. Absent: only events from now on."""
+    """Token of the last event seen; 0: from the session's very first. Absent: only events from now on. Tokens of one session are
+    not those of another that is created under its name later.
+    """
     @_builtins.property
     def kinds(self) -> _containers.RepeatedScalarFieldContainer[_session_pb2.FleetEventKind.ValueType]:
         """Only of these kinds: POSE, KEYFRAME, OBJECT, LOOP, MAP. Empty: of all."""

@@ -95,6 +95,7 @@ fn told(session: &v1::Session) -> String {
             format!("  pose      not yet. {}", pose.waiting_message)
         }
         (None, Some(pose)) => format!("  pose      tracked, {:.0} % of a frame fit", pose.inlier_ratio * 100.0),
+        (None, None) if session.num_keyframes > 0 => "  pose      none while the session sleeps".to_owned(),
         (None, None) => "  pose      none yet".to_owned(),
     });
     for sensor in &session.sensors {

@@ -6,13 +6,13 @@ use super::streams::{Chosen, Stream};
 use super::{Failure, input, local};
 use percept_formats::dataset::{self, Dataset, OpenOptions};
 use percept_formats::{Limits as FileLimits, read_file, trajectory};
-use percept_geometry::{SensorFrame, SensorKind};
+use percept_geometry::{SensorFrame, SensorKind, Timestamp};
 use percept_pipeline::{LoopState, PipelineParams, Snapshot};
-use percept_scene::RelationFilter;
+use percept_scene::{Object, ObjectState, RelationFilter};
 use percept_service::reason;
 use percept_service::{Limits, MapFormat, map_files};
 use percept_wire::{convert, json, v1};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -229,7 +229,7 @@ fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
     report.tracked = run.tracked;
     report.refused = run.refused;
     report.keyframes = run.snapshot.living_keyframes().count();
-    report.objects = run.snapshot.objects.len();
+    report.objects = there(&run.snapshot).count();
     report.loops = run.snapshot.loops.iter().filter(|l| l.state == LoopState::Active).count();
     report.judge(recording.reference.as_deref(), &run.trajectory(), run.snapshot.is_metric());
     report.set_frame_times(run.frame_s.clone());
@@ -274,7 +274,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
         }
     }
     let objects = v1::ListObjectsResponse {
-        objects: snapshot.objects.iter().map(convert::scene::object_to).collect(),
+        objects: there(snapshot).map(convert::scene::object_to).collect(),
         next_page_token: String::new(),
         map_version: snapshot.map_version,
     };
@@ -287,11 +287,21 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     Ok(())
 }
 
+/// Objects that are not gone, as a server lists them.
+fn there(snapshot: &Snapshot) -> impl Iterator<Item = &Object> {
+    snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone)
+}
+
 async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Result<(), Failure> {
     let channel = connect(server, &args.access).await?;
     let session = match &args.into {
         Some(id) => RemoteSession::join(channel, id, &recording.sensors).await?,
         None => RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?,
+    };
+    // What the session has been through before is not this recording's.
+    let before: BTreeSet<Timestamp> = match &args.into {
+        Some(_) => session.trajectory().await?.iter().map(|p| p.t_map_base.stamp).collect(),
+        None => BTreeSet::new(),
     };
     let bar = super::progress(part(args, recording).len() as u64, "replay");
     let primary = primary(recording).map(|s| s.id.0.clone()).unwrap_or_default();
@@ -305,7 +315,8 @@ async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Re
         eprintln!("percept: frame refused: {} ({})", e.message, e.reason);
     }
     session.optimise().await?;
-    let trajectory = session.trajectory().await?;
+    let mut trajectory = session.trajectory().await?;
+    trajectory.retain(|p| !before.contains(&p.t_map_base.stamp));
     let mut report = report(args, recording);
     report.tracked = trajectory.iter().filter(|p| p.tracked).count();
     report.refused = outcome.rejections.len();

@@ -26,6 +26,9 @@ const OPEN_SERVICE: &str = "/grpc.health.v1.Health/";
 const DOCUMENTS: [&str; 3] = ["/docs", "/openapi.json", "/reasons"];
 const REFLECTION: &str = "/grpc.reflection.";
 const METRICS: &str = "/metrics";
+/// Where this path ends, the key may be in the query as RFC 6750, section 2.3, has it: Foxglove sends no headers.
+const KEY_IN_QUERY: &str = "/foxglove";
+const ACCESS_TOKEN: &str = "access_token=";
 
 /// How a door says no.
 #[derive(Debug, Clone, Copy)]
@@ -86,7 +89,7 @@ impl Gate {
     async fn identified(&self, parts: &Parts) -> Result<CallContext, Error> {
         let (peer, certificate) = peer(&parts.extensions);
         let trace = trace()?;
-        match self.principal(&parts.headers, certificate).await {
+        match self.principal(parts, certificate).await {
             Ok(principal) => Ok(CallContext { principal, deadline: deadline(&parts.headers), trace, peer }),
             Err(refusal) => {
                 // Probes and browsers ask for open paths without credentials all the time.
@@ -105,22 +108,29 @@ impl Gate {
 
     async fn principal(
         &self,
-        headers: &HeaderMap,
+        parts: &Parts,
         certificate: Option<CertificateNames>,
     ) -> Result<Arc<Principal>, percept_identity::Refusal> {
         if self.authenticator.settings().mode == AuthMode::None {
             // Nobody is asked, so that nothing said can be wrong.
             return self.authenticator.authenticate(&Credentials::default(), now_s()).await;
         }
-        let mut values = headers.get_all(header::AUTHORIZATION).iter();
-        let token = match (values.next(), values.next()) {
-            (None, _) => None,
-            (Some(value), None) => Some(bearer(value.as_bytes())?),
+        let mut values = parts.headers.get_all(header::AUTHORIZATION).iter();
+        let token = match (values.next(), values.next(), in_query(parts)) {
+            (None, _, None) => None,
+            (None, _, Some(key)) => Some(bearer(format!("Bearer {key}").as_bytes())?),
+            (Some(value), None, None) => Some(bearer(value.as_bytes())?),
             // Which of two is meant, whoever stands before this server may see otherwise.
-            (Some(_), Some(_)) => Some(bearer(b"")?),
+            _ => Some(bearer(b"")?),
         };
         self.authenticator.authenticate(&Credentials { token, certificate }, now_s()).await
     }
+}
+
+/// The key that a query has, where one may be there.
+fn in_query(parts: &Parts) -> Option<&str> {
+    let query = parts.uri.query().filter(|_| parts.uri.path().ends_with(KEY_IN_QUERY))?;
+    query.split('&').find_map(|pair| pair.strip_prefix(ACCESS_TOKEN))
 }
 
 /// In whose name a request is made.

@@ -8,6 +8,7 @@ pub(crate) mod grpc;
 pub(crate) mod identify;
 pub(crate) mod listener;
 pub(crate) mod rest;
+mod results;
 pub(crate) mod ros2;
 pub(crate) mod status;
 pub(crate) mod zenoh;

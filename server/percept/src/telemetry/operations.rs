@@ -22,6 +22,9 @@ impl Operation {
     }
 }
 
+/// A session that is open in Foxglove.
+pub(crate) const FOXGLOVE: Operation = Operation { name: "Foxglove", lasts: true };
+
 /// Services of the gRPC door that are not in the contract.
 const OTHERS: [(&str, bool); 4] = [
     ("grpc.health.v1.Health/Check", false),

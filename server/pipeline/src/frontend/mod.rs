@@ -15,12 +15,16 @@ mod resume;
 mod scale_hints;
 mod second;
 mod sensors;
+mod stray_returns;
+mod sureness;
 mod tracking;
 mod view;
 mod wheels_check;
 
 pub use extrinsics::MountOffset;
 pub use sensors::check_frame;
+pub use stray_returns::{MOSTLY_STRAY, share_of_strays};
+pub(crate) use sureness::FoundAt;
 pub(crate) use tracking::{Tracking, Unanchored};
 pub(crate) use view::{Found, Keyframe, Registered, View};
 pub use wheels_check::WheelsFault;

@@ -36,10 +36,13 @@ impl Frontend {
         self.tracking = Tracking::lost_in_given();
     }
 
-    /// Begins at a pose that was told, with what the sensor is to see there as the local model, if anything: else the pose is believed.
+    /// Begins at a pose that was told, with what the sensor is to see there as the local model. If there is nothing of the kind, the
+    /// pose is believed; if the view does not fit it, nothing is, and the robot is looked for as if nothing had been told.
     pub(crate) fn start_at(&mut self, view: &View, t_odom_base: &Pose, near: &[(Pose, Arc<KeyframeScan>)]) {
         let mut odometry = Odometry::new(view.kind(), self.params.odometry.clone());
-        odometry.seed(t_odom_base, near, view.stamp);
+        if !odometry.begin_at(t_odom_base, near, &view.scan, view.stamp) {
+            return;
+        }
         self.odometry = Some(odometry);
         if near.is_empty() {
             self.tracking = Tracking::Initialising;

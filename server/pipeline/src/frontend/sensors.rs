@@ -1,6 +1,7 @@
 //! The session's sensors: what a frame must be to be processed, and how it is handed to the odometry.
 
 use super::floor_beams::off_the_floor;
+use super::stray_returns::if_not_of_strays;
 use crate::FrameError;
 use percept_geometry::{SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp, cloud};
 use percept_slam::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan};
@@ -191,7 +192,7 @@ pub(crate) fn scan_of(spec: &SensorSpec, data: &SensorData) -> Option<Scan> {
         })),
         SensorData::Cloud(cloud) => Some(Scan::Cloud(CloudScan { cloud: Arc::new(cloud.clone()), t_base_sensor })),
         SensorData::Scan(scan) => {
-            let scan = Arc::new(off_the_floor(scan, &t_base_sensor).into_owned());
+            let scan = Arc::new(if_not_of_strays(off_the_floor(scan, &t_base_sensor)).into_owned());
             Some(Scan::Planar(PlanarScan { scan, t_base_sensor }))
         }
         SensorData::Camera(image) => Some(Scan::Image(ImageScan {

@@ -1,5 +1,6 @@
 //! What goes through the front end: what a sensor saw, where odometry has placed it, and the keyframe that it becomes.
 
+use super::FoundAt;
 use percept_geometry::{Covariance6, KeyframeScan, Pose, SensorId, SensorKind, SensorSpec, Timestamp};
 use percept_slam::{Odometry, OdometryEstimate, OdometryKind, Scan};
 
@@ -57,4 +58,6 @@ pub(crate) struct Found {
     pub(crate) estimate: OdometryEstimate,
     /// What to go on with, if not with the odometry that there is.
     pub(crate) odometry: Option<Odometry>,
+    /// Where it was found, if odometry goes on.
+    pub(crate) at: Option<FoundAt>,
 }

@@ -147,7 +147,8 @@ impl MapGraph {
         let (t_odom_base, scan) = seen.pop()?;
         let before = seen.into_iter().map(|(t, scan)| (t_odom_base.inv_mul(&t), scan)).collect();
         let part = self.atlas.parts.get(self.atlas.turn)?.part.number;
-        Some(Sighting { before, scan: scan.as_ref().clone(), t_odom_base, part })
+        let covariance = Covariance6::zeros();
+        Some(Sighting { before, scan: scan.as_ref().clone(), t_odom_base, covariance, part })
     }
 
     /// The part in which the robot was recognised, if it was; it waits no longer.

@@ -6,6 +6,7 @@ use super::part::{Part, PartKeyframe};
 use super::revising::Decision;
 use super::{MapGraph, MapUpdate};
 use crate::KeyframeInfo;
+use crate::frontend::FoundAt;
 use percept_geometry::{Covariance6, KeyframeId, Pose, SensorId, se3};
 use percept_mapping::MapKeyframe;
 use percept_slam::loops::LoopClosure;
@@ -51,16 +52,17 @@ impl MapGraph {
         Some(before)
     }
 
-    /// Makes the part that was gathered the map, if that is by far the smaller one and no search is on; whether it did.
+    /// Makes the part that was gathered the map, if that is by far the smaller one and no search is on: the robot is found where the
+    /// part began.
     pub(super) fn take_over(
         &mut self,
         kind: OdometryKind,
         pose_sensor: Option<&SensorId>,
         update: &mut MapUpdate,
-    ) -> bool {
+    ) -> Option<FoundAt> {
         let least = TAKES_OVER.1.max(TAKES_OVER.0 * self.map.keyframes().len());
         if self.is_given() || self.relocaliser.gathered_without_search().is_none_or(|gathered| gathered < least) {
-            return false;
+            return None;
         }
         self.finish_revision(update);
         // Constraints between keyframes of the old map have gone into where they lie.
@@ -68,6 +70,11 @@ impl MapGraph {
         update.change.dissolved.extend(loops.iter().map(|l| l.id));
         let gathered = self.relocaliser.begin_anew();
         let old = self.map_as_part(gathered.number);
+        let begun = gathered.keyframes.first().map(|k| FoundAt {
+            t_odom_base: k.t_part_base,
+            of_odometry: k.covariance,
+            in_map: Covariance6::zeros(),
+        });
         let first = self.keyframes.next_id();
         // Its keyframes leave the map, and lie relative to the first one of the new map as odometry had it, until they join.
         let t_first_map = gathered.keyframes.first().map(|k| (self.t_map_odom * k.t_part_base).inverse());
@@ -81,7 +88,7 @@ impl MapGraph {
         update.mended.extend(self.trajectory.forget(&old.frames));
         update.mended.sort_by_key(|e| e.stamp);
         self.set_aside(old, kind, pose_sensor);
-        true
+        begun
     }
 
     /// The map as a part, with the frames that were placed in it.

@@ -7,8 +7,9 @@
 use super::part::{Part, PartKeyframe, Search};
 use super::worker::{Question, Relocated, Sighting};
 use super::{MapGraph, MapUpdate};
-use crate::frontend::{Found, Unanchored};
-use percept_geometry::{KeyframeScan, Pose, SensorId};
+use crate::frontend::{Found, FoundAt, Unanchored};
+use percept_geometry::{KeyframeScan, Pose, SensorId, se3};
+use percept_mapping::given::is_given;
 use percept_slam::{KeyframeParams, Odometry, OdometryEstimate, OdometryKind, Relocalisation, Scan, TrackingState};
 use std::sync::Arc;
 
@@ -64,10 +65,13 @@ impl Relocaliser {
         }
     }
 
-    /// Where the robot was found to be, and base to odom then; once.
-    fn take_found(&mut self) -> Option<(Relocalisation, Pose)> {
-        let answer = self.answer.take().filter(|r| r.part == self.part.number)?;
-        Some((answer.found?, answer.t_odom_base))
+    /// Where the robot was found to be, and how sure that was, but for a map that was given; once.
+    fn take_found(&mut self) -> Option<(Relocalisation, FoundAt)> {
+        let Relocated { found, drift, t_odom_base, covariance, .. } =
+            self.answer.take().filter(|r| r.part == self.part.number)?;
+        let found = found?;
+        let in_map = se3::compose_covariance(&drift, &found.t_keyframe_base, &found.covariance);
+        Some((found, FoundAt { t_odom_base, of_odometry: covariance, in_map }))
     }
 
     /// Keyframes gathered, unless a search is on: then the robot may be found.
@@ -93,7 +97,8 @@ impl Relocaliser {
         let sighting = asks.then(|| {
             let seen_from = |f: &PartKeyframe| (estimate.t_odom_base.inv_mul(&f.t_part_base), Arc::clone(&f.scan));
             let before = self.part.keyframes.iter().map(seen_from).collect();
-            Sighting { before, scan: scan.clone(), t_odom_base: estimate.t_odom_base, part: self.part.number }
+            let (t_odom_base, covariance) = (estimate.t_odom_base, estimate.covariance);
+            Sighting { before, scan: scan.clone(), t_odom_base, covariance, part: self.part.number }
         });
         if asks {
             (self.search.is_asked, self.search.asked_at) = (true, Some(estimate.stamp));
@@ -128,33 +133,36 @@ impl MapGraph {
         if !self.constraints.is_active() {
             return self.try_last_place(view);
         }
-        let is_found = self.look_around(view, update);
+        let at = Some(self.look_around(view, update)?);
         let estimate = OdometryEstimate { state: TrackingState::Tracking, ..view.estimate.clone() };
-        is_found.then_some(Found { estimate, odometry: None })
+        Some(Found { estimate, odometry: None, at })
     }
 
-    /// Whether a view joins the part that it belongs to with the map, or makes it the map.
-    fn look_around(&mut self, view: &UnanchoredView<'_>, update: &mut MapUpdate) -> bool {
+    /// Where the robot was found, if a view joins the part that it belongs to with the map, or makes it the map.
+    fn look_around(&mut self, view: &UnanchoredView<'_>, update: &mut MapUpdate) -> Option<FoundAt> {
         let state = view.estimate.state;
         if state.is_lost() {
-            return false;
+            return None;
         }
         if !state.is_tracking() {
             // Odometry has begun anew: what was gathered hangs on nothing any more, and waits.
             let gathered = self.relocaliser.begin_anew();
             self.set_aside(gathered, view.kind, view.pose_sensor);
         }
-        if let Some((found, t_odom_found)) = self.relocaliser.take_found() {
-            return self.join(&found, &t_odom_found, view.pose_sensor, update);
+        if let Some((found, mut at)) = self.relocaliser.take_found() {
+            // A map that was given is what the robot is in, however it came about.
+            let is_given = self.keyframes.of(found.keyframe).is_some_and(|k| is_given(&k.sensor));
+            at.in_map = if is_given { found.covariance } else { at.in_map };
+            return self.join(&found, &at.t_odom_base, view.pose_sensor, update).then_some(at);
         }
-        if self.take_over(view.kind, view.pose_sensor, update) {
-            return true;
+        if let Some(first) = self.take_over(view.kind, view.pose_sensor, update) {
+            return Some(first);
         }
         let params = &self.params.odometry.keyframe;
         if let Some(sighting) = self.relocaliser.gather(view, params, self.base_height_m) {
             self.constraints.ask(Question::Relocalise(sighting), view.estimate.stamp);
         }
-        false
+        None
     }
 
     /// Tries a view against the keyframes where the robot was last known to be, and in the first frame where wheels say it is.
@@ -169,7 +177,7 @@ impl MapGraph {
         odometry.seed(&place, &self.keyframes_near(view.sensor, &place), last.stamp);
         let estimate = odometry.register(view.estimate.stamp, view.scan, None);
         let is_sure = estimate.inlier_ratio >= SURE.1.max(SURE.0 * view.usual_inlier_ratio);
-        (estimate.state.is_tracking() && is_sure).then_some(Found { estimate, odometry: Some(odometry) })
+        (estimate.state.is_tracking() && is_sure).then_some(Found { estimate, odometry: Some(odometry), at: None })
     }
 }
 

@@ -5,7 +5,7 @@
 //! was asked meanwhile, or some of it.
 
 use crate::beside::{Executor, Task};
-use percept_geometry::{KeyframeId, KeyframeScan, Pose, Timestamp};
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, Timestamp};
 use percept_slam::{BackEnd, BackEndKeyframe, BackEndMemory, BackEndUpdate, Loop, Relocalisation};
 use std::sync::Arc;
 
@@ -53,6 +53,8 @@ pub(crate) struct Sighting {
     pub(crate) scan: KeyframeScan,
     /// Base to odom now.
     pub(crate) t_odom_base: Pose,
+    /// Of that, since the start of odometry.
+    pub(crate) covariance: Covariance6,
     /// Which of the parts of the map that hang on nothing it belongs to.
     pub(crate) part: u64,
 }
@@ -71,8 +73,11 @@ pub(crate) struct Relocated {
     pub(crate) found: Option<Relocalisation>,
     /// Whether the search goes on when it is asked again.
     pub(crate) is_unfinished: bool,
-    /// Base to odom at the sighting.
+    /// Covariance of the place where it was found, as the way there from the start has it.
+    pub(crate) drift: Covariance6,
+    /// Base to odom at the sighting, and its covariance since the start of odometry.
     pub(crate) t_odom_base: Pose,
+    pub(crate) covariance: Covariance6,
     pub(crate) part: u64,
 }
 
@@ -185,10 +190,11 @@ fn work(back_end: &mut BackEnd, questions: Vec<Question>) -> Answers {
             loops_changed |= !update.loops.is_empty() || !update.dissolved.is_empty();
             Some(Answer::Update(keyframe.id, Box::new(update)))
         }
-        Question::Relocalise(Sighting { before, scan, t_odom_base, part }) => {
+        Question::Relocalise(Sighting { before, scan, t_odom_base, covariance, part }) => {
             let found = back_end.relocalise(&before, &scan);
+            let drift = found.as_ref().map_or_else(Covariance6::zeros, |found| back_end.drift_at(found.keyframe));
             let is_unfinished = back_end.is_unfinished();
-            Some(Answer::Relocalised(Relocated { found, is_unfinished, t_odom_base, part }))
+            Some(Answer::Relocalised(Relocated { found, is_unfinished, drift, t_odom_base, covariance, part }))
         }
         Question::Restore(keyframes) => {
             back_end.resume(keyframes.into_iter(), vec![], 0);

@@ -19,7 +19,10 @@ impl Pipeline {
         self.scene.restore(&self.params, &restored.objects, restored.next_object_id);
         match end {
             Some(end) => self.resume(&end, &restored),
-            None if !restored.keyframes.is_empty() => self.frontend.wait_to_be_found(),
+            None if !restored.keyframes.is_empty() => {
+                self.frontend.wait_to_be_found();
+                self.start = restored.start;
+            }
             None => {}
         }
         self.count_memory();

@@ -54,6 +54,9 @@ fn a_robot_is_found_in_a_plan_that_was_given_and_the_plan_stays() {
     pipeline.settle();
     assert!(off(&pipeline, &simulation) < 0.05, "{}", off(&pipeline, &simulation));
     let snapshot = pipeline.snapshot();
+    // How long it took to find it says nothing about how sure that is.
+    let sigma = snapshot.pose.as_ref().unwrap().covariance.diagonal().map(f64::sqrt);
+    assert!(sigma.x < 0.2 && sigma.y < 0.2, "{sigma}");
     assert!(snapshot.layers.occupancy.num_known() >= before);
     assert!(snapshot.living_keyframes().filter(|k| is_given(&k.sensor)).count() == given.len());
     // What it saw before it was found is in the map as well.
@@ -74,6 +77,32 @@ fn a_robot_starts_where_it_is_told_to_be_and_what_it_was_told_may_be_off() {
     assert_eq!(first.state, TrackingState::Tracking);
     feed(&mut pipeline, frames);
     assert!(off(&pipeline, &simulation) < 0.05, "{}", off(&pipeline, &simulation));
+}
+
+/// What a person points out may be another place: a step along the wall, the other way round, another room.
+#[test]
+fn a_start_that_does_not_fit_what_is_seen_is_not_believed_and_the_robot_is_found_as_if_nothing_had_been_told() {
+    let simulation = rooms(SensorSuite::only_lidar2d(), 20.0);
+    let frames: Vec<SensorFrame> = simulation.frames().map(|f| f.frame).collect();
+    let views = plan(&simulation);
+    for off in [
+        Pose::translation(1.5, 0.0, 0.0),
+        Pose::translation(0.0, -1.5, 0.0),
+        yaw(std::f64::consts::FRAC_PI_2),
+        yaw(std::f64::consts::PI),
+        Pose::translation(4.0, 4.0, 0.0),
+    ] {
+        let mut pipeline = empty(&simulation, PipelineParams::default());
+        pipeline.take_given(views.clone(), Some(simulation.t_world_start() * off)).unwrap();
+        for frame in &frames {
+            let pose = pipeline.process(frame).unwrap().pose.unwrap();
+            let truth = simulation.pose_at(pose.stamp).translation.vector;
+            let error = (truth - pose.t_map_base.translation.vector).xy().norm();
+            assert!(!pose.state.is_tracking() || error < 0.1, "{off}: {error} m off at {}", pose.stamp);
+        }
+        let pose = pipeline.snapshot().pose.unwrap();
+        assert!(pose.state.is_tracking(), "{off}: never found");
+    }
 }
 
 #[test]
@@ -97,12 +126,19 @@ fn a_given_map_outlives_a_restart_before_a_robot_comes() {
         after_gap: k.after_gap,
         content: RestoredContent::Scan(k.scan),
     });
+    let keyframes: Vec<RestoredKeyframe> = keyframes.collect();
     let mut restored = empty(&simulation, PipelineParams::default());
-    restored.restore(Restored { keyframes: keyframes.collect(), ..Restored::default() });
+    restored.restore(Restored { keyframes: keyframes.clone(), ..Restored::default() });
     assert_eq!(restored.snapshot().layers.occupancy, before.snapshot().layers.occupancy);
     let found = [&mut before, &mut restored].map(|p| frames_until_found(p, &frames));
     assert!(found[0].is_some() && found[0] == found[1], "{found:?}");
     assert_eq!(before.snapshot().pose, restored.snapshot().pose);
+
+    let start = Some(simulation.t_world_start());
+    let mut told = empty(&simulation, PipelineParams::default());
+    told.restore(Restored { keyframes, start, ..Restored::default() });
+    let first = told.process(&frames[0]).unwrap().pose.unwrap();
+    assert_eq!(first.state, TrackingState::Tracking, "where it starts does, too");
 }
 
 #[test]

@@ -53,6 +53,9 @@ fn a_robot_carried_off_is_lost_and_leaves_the_map_alone_until_it_is_back() {
     }
     pipeline.settle();
     let snapshot = pipeline.snapshot();
+    // Nor does how long it was away say how sure its place is now.
+    let sigma = snapshot.pose.as_ref().unwrap().covariance.diagonal().map(f64::sqrt);
+    assert!(sigma.x < 0.3 && sigma.y < 0.3, "{sigma}");
     // What it saw before it was found again is known since, and what it saw elsewhere is not.
     assert!(!mended.is_empty());
     let of_home = snapshot.trajectory().filter(|(_, e)| e.stamp.nanos() >= back);

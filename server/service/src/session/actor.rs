@@ -393,7 +393,7 @@ impl Actor {
         let map_version = snapshot.map_version;
         let report = FrameReport { joined: keyframes, ..FrameReport::default() };
         self.publish(&report, snapshot);
-        let ticket = self.store(Job { keyframes: report.joined, ..Job::default() }).await;
+        let ticket = self.store(Job { keyframes: report.joined, start, ..Job::default() }).await;
         Some(Ok(Some(Imported { map_version, ticket })))
     }
 

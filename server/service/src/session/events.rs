@@ -18,13 +18,17 @@ pub struct EventLog {
 impl EventLog {
     /// A log that keeps `capacity` events, of a session that had none before.
     pub fn new(capacity: usize) -> Self {
-        // Tokens start at 1, so that 0 can mean 'from the very first'.
-        Self::starting_at(1, capacity)
+        Self::beginning_at(1, capacity)
     }
 
     /// A log whose first event gets `first_token`: above all that were given before.
     pub fn starting_at(first_token: u64, capacity: usize) -> Self {
         Self { history: History::starting_at(first_token, capacity), fleet: None, settings: watch::Sender::new(()) }
+    }
+
+    /// The same of a session that had no events before: 0 means from the very first.
+    pub fn beginning_at(first_token: u64, capacity: usize) -> Self {
+        Self { history: History::beginning_at(first_token, capacity), ..Self::starting_at(first_token, 1) }
     }
 
     /// The same, which tells those who watch all sessions, too.
@@ -120,6 +124,17 @@ mod tests {
         let events = log.after(3, 100).await.unwrap();
         assert!(matches!(events[..], [Event { token: 999, kind: EventKind::Resync(0), .. }]));
         assert_eq!(tokens(&log.after(999, 100).await.unwrap()), [1000, 1001]);
+    }
+
+    #[tokio::test]
+    async fn nothing_is_missing_from_the_very_first_of_a_new_session() {
+        let log = EventLog::beginning_at(1000, 10);
+        log.publish(Timestamp(1), (0..2).map(EventKind::MapVersion));
+        assert_eq!(tokens(&log.after(0, 100).await.unwrap()), [1000, 1001]);
+        // Of another session of that name.
+        assert!(matches!(log.after(3, 100).await.unwrap()[..], [Event { kind: EventKind::Resync(0), .. }]));
+        log.forget();
+        assert!(matches!(log.after(0, 100).await.unwrap()[..], [Event { kind: EventKind::Resync(0), .. }]));
     }
 
     #[tokio::test]

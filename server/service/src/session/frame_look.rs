@@ -1,6 +1,7 @@
 //! What a frame shows at first sight: whether a sensor measures, and in which unit.
 
 use percept_geometry::{DepthImage, PointCloud, SensorData};
+use percept_pipeline::share_of_strays;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// So many values are looked at: a share of 5 % is told to 1 % (standard error of a binomial).
@@ -15,6 +16,8 @@ pub(crate) struct FrameLook {
     pub(crate) bytes: usize,
     /// Share of its beams or pixels that measured something. None for what has none.
     pub(crate) measured: Option<f64>,
+    /// Share of its returns that stand alone. None for what is no planar scan.
+    pub(crate) stray: Option<f64>,
     /// Median distance, metres. None if nothing was measured.
     pub(crate) median_m: Option<f64>,
     /// Of the values that are looked at: a frame that is sent again has the same.
@@ -38,7 +41,7 @@ impl FrameLook {
                 // Beams that met nothing within range measured that.
                 let of = |range: f32| (!range.is_nan() && range > 0.0).then_some(f64::from(range));
                 let look = Self::of_ranges(ranges.len(), |i| of(ranges[i]));
-                Self { bytes: size_of_val(&ranges[..]), ..look }
+                Self { bytes: size_of_val(&ranges[..]), stray: Some(share_of_strays(scan)), ..look }
             }
             SensorData::Imu(sample) => {
                 let values = sample.angular_velocity.iter().chain(&sample.linear_acceleration);
@@ -69,6 +72,7 @@ impl FrameLook {
         ranges.sort_by(f64::total_cmp);
         Self {
             bytes: 0,
+            stray: None,
             measured: Some(measured.len() as f64 / seen.len().max(1) as f64),
             median_m: ranges.get(ranges.len() / 2).copied(),
             digest: digest(seen.iter().map(|r| r.map(f64::to_bits))),

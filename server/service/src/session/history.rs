@@ -16,6 +16,8 @@ struct Ring<T> {
     first_token: u64,
     next_token: u64,
     capacity: usize,
+    /// Whether there was nothing before the first token.
+    is_whole: bool,
     closed: bool,
 }
 
@@ -38,8 +40,16 @@ impl<T: Clone> History<T> {
     /// comes back must start above all tokens it gave before, or a reader that resumes would miss some and not be told.
     pub(crate) fn starting_at(first_token: u64, capacity: usize) -> Self {
         let (entries, capacity) = (VecDeque::new(), capacity.max(1));
-        let ring = Ring { entries, first_token, next_token: first_token, capacity, closed: false };
+        let next_token = first_token;
+        let ring = Ring { entries, first_token, next_token, capacity, is_whole: false, closed: false };
         Self { ring: Mutex::new(ring), changed: Notify::new() }
+    }
+
+    /// The same of what had no entry before: a reader who resumes from 0 gets it from the very first.
+    pub(crate) fn beginning_at(first_token: u64, capacity: usize) -> Self {
+        let history = Self::starting_at(first_token, capacity);
+        history.lock().is_whole = true;
+        history
     }
 
     fn lock(&self) -> MutexGuard<'_, Ring<T>> {
@@ -65,6 +75,7 @@ impl<T: Clone> History<T> {
         let mut ring = self.lock();
         ring.entries = VecDeque::new();
         ring.first_token = ring.next_token;
+        ring.is_whole = false;
     }
 
     /// Nothing more will come: readers end.
@@ -109,6 +120,7 @@ impl<T: Clone> Ring<T> {
     fn after(&self, token: u64, limit: usize) -> Option<Read<T>> {
         let newest = self.next_token - 1;
         let oldest = self.next_token - self.entries.len() as u64;
+        let token = if token == 0 && self.is_whole { self.first_token - 1 } else { token };
         // A token from before a restart, or none of ours: nobody knows how many entries are missing.
         if token > newest || token + 1 < self.first_token {
             let token = if token > newest { newest } else { oldest - 1 };

@@ -36,6 +36,8 @@ pub(crate) struct Job {
     pub(crate) merged: Vec<(KeyframeInfo, Merged)>,
     /// Loops that went with them.
     pub(crate) dissolved: Vec<LoopId>,
+    /// Where the robot starts in a map that was given with this, base to map, if that was told.
+    pub(crate) start: Option<Pose>,
     /// What is declared and set, if that changed.
     pub(crate) meta: Option<Box<SessionMeta>>,
     /// Counted while it waits; set when it is queued.

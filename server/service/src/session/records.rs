@@ -228,6 +228,8 @@ pub(crate) struct StateRecord {
     /// Of the map that callers were told of.
     pub(crate) map_version: u64,
     pub(crate) frame_counts: BTreeMap<SensorId, FrameCounts>,
+    /// Where the robot starts in a map that was given, base to map, if that was told.
+    pub(crate) start: Option<Pose>,
 }
 
 /// What was counted of a sensor's frames.

@@ -77,6 +77,7 @@ pub(super) async fn recover(
         next_loop_id: state.next_loop_id,
         next_object_id: state.next_object_id,
         last_stamps: state.last_stamps,
+        start: state.start,
         map_version: if state.map_version > 0 { state.map_version + NOT_STORED } else { 0 },
     };
     if damage.first.is_some() {

@@ -61,8 +61,7 @@ impl Registry {
         (defaults, recordings): (PipelineParams, RecordingSettings),
         detectors: OwnDetectors,
     ) -> Result<(Arc<Self>, Vec<SessionPlace>)> {
-        // Events come far slower than one a microsecond, so that this lies above every token given before.
-        let first_token = u64::try_from(crate::clock::now_ns() / 1000).unwrap_or(1).max(1);
+        let first_token = token_above_all();
         let waking = Semaphore::new(WAKES_AT_ONCE);
         let fleet = Arc::new(FleetLog::starting_at(first_token, limits.fleet_event_history));
         let sessions = RwLock::default();
@@ -258,9 +257,9 @@ impl Registry {
             counts: Some(Counts::default()),
         };
         let link = FleetLink::new(&self.fleet, &meta.id, &meta.tenant);
-        // Of a session that other servers may tell of, too, nobody resumes from a token of theirs.
-        let first = if self.root.is_shared() { self.first_token } else { 1 };
-        let events = EventLog::starting_at(first, self.limits.event_history).told_to(link);
+        // Nobody resumes from a token of another session of that name: one that was deleted, or that other servers tell of.
+        let first = token_above_all();
+        let events = EventLog::beginning_at(first, self.limits.event_history).told_to(link);
         let slot = Slot::new(&meta.id, Phase::Creating, known, events, &self.recordings);
         sessions.add(&slot);
         Ok(Reserved::New(slot))
@@ -400,4 +399,9 @@ pub(crate) fn not_found(id: &str) -> Error {
         "session_id",
         format!("session_id {shown:?} does not exist; create it, or list the sessions"),
     )
+}
+
+/// Above every token given before: events come far slower than one a microsecond.
+fn token_above_all() -> u64 {
+    u64::try_from(crate::clock::now_ns() / 1000).unwrap_or(1).max(1)
 }

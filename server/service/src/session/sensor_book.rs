@@ -6,7 +6,7 @@ use super::records::{FrameCounts, StateRecord};
 use super::refusal::ahead_ns;
 use super::stream_figures::{Recent, StreamFigures};
 use crate::Error;
-use percept_geometry::{SensorId, Timestamp};
+use percept_geometry::{SensorId, SensorKind, Timestamp};
 use percept_pipeline::{ImuFault, MountOffset, WheelsFault};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -45,6 +45,9 @@ pub struct SensorStatus {
     pub wheels_faults: Vec<WheelsFault>,
     /// For how long nothing has come, while other sensors of the session go on, seconds.
     pub silent_s: Option<f64>,
+    /// Another sensor of the session, and by how much these stamps are ahead of that one's though both come at the same time, seconds:
+    /// another clock, or a link that is slower by so much.
+    pub apart: Option<(SensorId, f64)>,
     /// Why the session cannot have a pose, as far as its sensors tell.
     pub no_pose: Option<NoPose>,
 }
@@ -107,6 +110,7 @@ impl SensorStatus {
             imu_faults: Vec::new(),
             wheels_faults: Vec::new(),
             silent_s: None,
+            apart: None,
             no_pose: None,
         }
     }
@@ -124,6 +128,7 @@ struct Taken {
     look: Option<FrameLook>,
 }
 
+/// A sensor.
 #[derive(Debug, Clone)]
 struct Entry {
     status: SensorStatus,
@@ -133,6 +138,14 @@ struct Entry {
     last_sequence: u64,
     /// How far the newest stamp was ahead of the server's clock when it was taken in, nanoseconds.
     ahead_ns: Option<i64>,
+}
+
+impl Entry {
+    /// By how much its stamps are ahead of another sensor's, if they are apart.
+    fn ahead_of(&self, other: &Self) -> Option<f64> {
+        let offset_s = |e: &Self| e.status.declaration.spec.time_offset_s;
+        self.recent.newest()?.ahead_of(offset_s(self), &other.recent.newest()?, offset_s(other))
+    }
 }
 
 /// What was taken in of a stamp before a frame of the same stamp came.
@@ -202,11 +215,22 @@ impl SensorBook {
         let now = Instant::now();
         let figures: Vec<StreamFigures> = self.entries.values().map(|e| e.recent.figures(now)).collect();
         let newest_s = figures.iter().filter_map(|f| f.quiet_s).reduce(f64::min);
+        let reference = self.reference();
         let of = |(entry, figures): (&Entry, StreamFigures)| {
             let silent_s = figures.silent_s(newest_s);
-            SensorStatus { figures, silent_s, ..entry.status.clone() }
+            let apart = reference.and_then(|to| Some((to.status.declaration.spec.id.clone(), entry.ahead_of(to)?)));
+            SensorStatus { figures, silent_s, apart, ..entry.status.clone() }
         };
         self.entries.values().zip(figures).map(of).collect()
+    }
+
+    /// The sensor whose stamps others are compared with: one that sees and that most agree with; of several a lidar.
+    fn reference(&self) -> Option<&Entry> {
+        let sees = |e: &&Entry| e.status.declaration.spec.can_move_the_pose();
+        let num_apart = |to: &Entry| self.entries.values().filter(|e| e.ahead_of(to).is_some()).count();
+        let is_no_lidar =
+            |e: &Entry| !matches!(e.status.declaration.spec.kind, SensorKind::Lidar2d | SensorKind::Lidar3d);
+        self.entries.values().filter(sees).min_by_key(|e| (num_apart(e), is_no_lidar(e)))
     }
 
     /// How far a sensor's newest stamp was ahead of the server's clock when it was taken in, nanoseconds.

@@ -30,6 +30,8 @@ pub struct StreamFigures {
     pub latency_s: Option<(f64, f64)>,
     /// Share of beams or pixels that measured something, mean. None for what has none.
     pub measured_ratio: Option<f64>,
+    /// Share of a planar scan's returns that stand alone, mean. None for what is no planar scan.
+    pub stray_ratio: Option<f64>,
     /// Median distance measured, metres. None if nothing was.
     pub median_range_m: Option<f64>,
 }
@@ -76,6 +78,18 @@ impl Recent {
         }
     }
 
+    /// The newest.
+    pub(super) fn newest(&self) -> Option<Newest> {
+        let last = self.frames.back()?;
+        let first = self.frames.front().filter(|_| self.frames.len() > 1)?;
+        let usual = |span_s: f64| span_s / (self.frames.len() - 1) as f64;
+        Some(Newest {
+            stamp: last.stamp,
+            at: last.at,
+            usual_s: (usual(last.stamp.seconds_since(first.stamp)), usual(seconds_between(last.at, first.at))),
+        })
+    }
+
     /// What they tell at `now`.
     pub(crate) fn figures(&self, now: Instant) -> StreamFigures {
         let Some((first, last)) = self.frames.front().zip(self.frames.back()) else { return StreamFigures::default() };
@@ -94,9 +108,40 @@ impl Recent {
             frame_bytes: mean(&of(|f| Some(f.look.bytes as f64))),
             latency_s: percentile(latencies.clone(), 0.5).zip(percentile(latencies, 0.95)),
             measured_ratio: mean(&of(|f| f.look.measured)),
+            stray_ratio: mean(&of(|f| f.look.stray)),
             median_range_m: percentile(of(|f| f.look.median_m), 0.5),
         }
     }
+}
+
+/// The newest frame of a stream.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Newest {
+    stamp: Timestamp,
+    at: Instant,
+    /// Between frames, mean: by stamps and by arrival, seconds.
+    usual_s: (f64, f64),
+}
+
+/// Two streams are apart from so many seconds on, and so many intervals of the slower one. What goes with a frame is waited for
+/// 0.1 s, and placed half a second from it at most.
+const APART: (f64, f64) = (1.0, 3.0);
+
+impl Newest {
+    /// By how much the stamps are ahead of another stream's, given when both came, seconds, the declared offsets of both counted; none
+    /// if that is no more than streams are, or they did not come at the same time: a recording is sent faster than time goes.
+    pub(super) fn ahead_of(&self, offset_s: f64, other: &Self, other_offset_s: f64) -> Option<f64> {
+        let came_s = seconds_between(self.at, other.at);
+        let usual = |of: fn(&Self) -> f64| of(self).max(of(other));
+        let ahead_s = self.stamp.seconds_since(other.stamp) + offset_s - other_offset_s - came_s;
+        let is_apart = ahead_s.abs() > APART.0 && ahead_s.abs() > APART.1 * usual(|n| n.usual_s.0);
+        (is_apart && came_s.abs() <= APART.1 * usual(|n| n.usual_s.1)).then_some(ahead_s)
+    }
+}
+
+/// From `b` to `a`, negative if that is before.
+fn seconds_between(a: Instant, b: Instant) -> f64 {
+    a.saturating_duration_since(b).as_secs_f64() - b.saturating_duration_since(a).as_secs_f64()
 }
 
 fn mean(values: &[f64]) -> Option<f64> {
@@ -126,7 +171,7 @@ mod tests {
         for i in 0..200u32 {
             // A pause of a second long ago, one of 0.3 s just now; two seconds behind the server.
             let pause = if i < 20 { 0.0 } else { 1.0 } + if i < 180 { 0.0 } else { 0.2 };
-            let look = FrameLook { bytes: 1000, measured: Some(0.5), median_m: Some(2.0), digest: 0 };
+            let look = FrameLook { bytes: 1000, measured: Some(0.5), stray: None, median_m: Some(2.0), digest: 0 };
             let stamp = Timestamp::from_secs_f64(0.1 * f64::from(i) + pause);
             recent.add(stamp, -2_000_000_000, Duration::from_millis(if i % 10 == 0 { 80 } else { 20 }), look);
         }

@@ -2,8 +2,8 @@
 
 use super::sensor_book::{NoPose, Refusal, SensorStatus};
 use super::stream_figures::StreamFigures;
-use percept_geometry::{CameraIntrinsics, SensorKind};
-use percept_pipeline::{ImuFault, MountOffset, WheelsFault};
+use percept_geometry::{CameraIntrinsics, SensorId, SensorKind};
+use percept_pipeline::{ImuFault, MOSTLY_STRAY, MountOffset, WheelsFault};
 use std::fmt;
 
 /// A clock off by more than this is worth telling, seconds.
@@ -92,6 +92,13 @@ pub enum StreamTrouble {
         /// By how much, way and all, seconds.
         ahead_s: f64,
     },
+    /// Its stamps are far from another sensor's that come at the same time.
+    ClockApart {
+        /// By how much it is ahead, seconds.
+        ahead_s: f64,
+        /// The other sensor.
+        than: SensorId,
+    },
     /// Its stamps are in another unit than nanoseconds.
     StampUnit {
         /// Its rate by its stamps, hertz.
@@ -111,6 +118,11 @@ pub enum StreamTrouble {
     },
     /// Hardly any beam or pixel measures something.
     SeesLittle {
+        /// The share of those that do.
+        ratio: f64,
+    },
+    /// Most returns of a planar lidar stand alone.
+    StrayReturns {
         /// The share of those that do.
         ratio: f64,
     },
@@ -164,9 +176,11 @@ impl Verdict {
             status.silent_s.map(|silent_s| StreamTrouble::Silent { silent_s }),
             figures.delay_s.filter(|s| *s < -AHEAD_S).map(|s| StreamTrouble::ClockAhead { ahead_s: -s }),
             stamp_unit(status),
+            status.apart.clone().map(|(than, ahead_s)| StreamTrouble::ClockApart { ahead_s, than }),
             clock.clone(),
             range_unit(spec.kind, figures),
             figures.measured_ratio.filter(|r| *r < LITTLE).map(|ratio| StreamTrouble::SeesLittle { ratio }),
+            figures.stray_ratio.filter(|r| *r > MOSTLY_STRAY).map(|ratio| StreamTrouble::StrayReturns { ratio }),
             Some(spec.t_base_sensor.translation.vector.norm())
                 .filter(|m| *m > FARTHEST_MOUNT_M)
                 .map(|distance_m| StreamTrouble::MountFar { distance_m }),
@@ -304,6 +318,15 @@ impl fmt::Display for StreamTrouble {
                 "its stamps are {ahead_s:.2} s ahead of the server's clock; set the robot's clock, e.g. by NTP (SyncTime \
                  measures the offset)"
             ),
+            Self::ClockApart { ahead_s, than } => write!(
+                f,
+                "its stamps are {:.1} s {} those of {}, which come at the same time, so that the two are not used together; have \
+                 both stamped by one clock, or declare its time_offset_s; if the stamps are right, its messages are held up on \
+                 the way",
+                ahead_s.abs(),
+                if *ahead_s > 0.0 { "ahead of" } else { "behind" },
+                than.0
+            ),
             Self::StampUnit { rate_hz, unit } => write!(
                 f,
                 "by its stamps it sends {rate_hz:.0} frames a second: they seem to be in {unit}; send nanoseconds since 1970"
@@ -324,6 +347,12 @@ impl fmt::Display for StreamTrouble {
                 f,
                 "only {:.1} % of what it sends are measurements; check that nothing covers it, and that it is neither too near \
                  nor too far from everything",
+                ratio * 100.0
+            ),
+            Self::StrayReturns { ratio } => write!(
+                f,
+                "{:.0} % of its returns stand alone, as from dust, rain, smoke or another lidar's light: such scans are not \
+                 used, and the robot is lost without wheels; clean its window, or wait until it is over",
                 ratio * 100.0
             ),
             Self::OpticalFrame => f.write_str(

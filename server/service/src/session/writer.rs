@@ -96,6 +96,7 @@ impl Writer {
             if let Some(meta) = &job.meta {
                 out.put((keys::meta(), json(&MetaRecord::of(meta)?)?));
             }
+            state.start = job.start.or(state.start);
             state.last_stamps.extend(job.frame.clone());
             state.frame_counts.extend(job.frame_counts.clone());
             state.map_version = state.map_version.max(job.map_version);

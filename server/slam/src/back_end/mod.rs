@@ -208,6 +208,12 @@ impl BackEnd {
         self.recognition.relocalise_driven(before, scan, &self.by_id)
     }
 
+    /// Covariance of a keyframe's pose as the way to it from the first one has it; loops make it smaller than that.
+    pub fn drift_at(&self, id: KeyframeId) -> Covariance6 {
+        let drift = self.chain.index(id).map_or((0.0, 0.0), |index| self.chain.drift(0, index, 0.0));
+        diagonal(drift.0.sqrt(), drift.1.sqrt())
+    }
+
     /// Whether the newest search for a robot has not ended yet: it goes on when it is asked for again.
     pub fn is_unfinished(&self) -> bool {
         self.recognition.is_unfinished()

@@ -10,6 +10,7 @@ use super::params::MotionLimits;
 use super::rhythm::Rhythm;
 use super::uncertainty::Uncertainty;
 use super::{OdometryEstimate, OdometryKind, OdometryParams};
+use crate::covariance::diagonal;
 use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
 use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
 use crate::motion_noise::GUESSED_AFTER_S;
@@ -23,6 +24,9 @@ use std::sync::Arc;
 /// What a measurement left open counts up to this variance, m^2. Half a metre: what the search covers. Halved and
 /// doubled as it is on the log with wheels ([`crate::loops::planar`]).
 const MAX_LEFT_OPEN: f64 = 0.25;
+/// So far off may a pose be that somebody tells, metres and radians: twice the standard deviations that RViz gives a pose that
+/// is pointed out (0.5 m, 0.26 rad).
+const TOLD: (f64, f64) = (1.0, 0.5);
 
 /// Odometry by a local model of what was seen: surfaces whose lengths are known.
 pub(super) struct LocalOdometry {
@@ -277,6 +281,22 @@ impl LocalOdometry {
         self.velocity = None;
         self.inertial.forget();
         (self.num_lost, self.unplaced_s) = (0, 0.0);
+    }
+
+    /// Moves to where a scan lies around a pose that was told; false if it cannot be said to lie there.
+    pub(super) fn settle(&mut self, scan: &Scan) -> bool {
+        if self.model.prepare(scan, &Vector6::zeros()).is_err() {
+            return false;
+        }
+        let (way, turn) = TOLD;
+        let around = Prediction::within(self.t_odom_base, diagonal(way / 3.0, turn / 3.0));
+        match self.model.register(&around) {
+            Ok(found) if self.model.is_certain(&found) => {
+                self.t_odom_base = found.t_odom_base;
+                true
+            }
+            _ => false,
+        }
     }
 
     fn tracked(&mut self, stamp: Timestamp, dt: f64, found: Registration) -> OdometryEstimate {

@@ -234,4 +234,21 @@ impl Odometry {
             Method::Camera(camera) => camera.seed(t_odom_base_last, stamp),
         }
     }
+
+    /// Begins in a map where somebody says that base is: `near` views of it with their poses in odom become the local model. False
+    /// if `scan`, taken at `stamp`, does not fit there, or contradicts what these views looked through: then this odometry is of
+    /// no use. A camera alone, which has no local model, is believed.
+    pub fn begin_at(
+        &mut self,
+        t_odom_told: &Pose,
+        near: &[(Pose, Arc<KeyframeScan>)],
+        scan: &Scan,
+        stamp: Timestamp,
+    ) -> bool {
+        self.seed(t_odom_told, near, stamp);
+        match &mut self.method {
+            Method::Local(local) => near.is_empty() || local.settle(scan),
+            Method::Camera(_) => true,
+        }
+    }
 }

@@ -78,6 +78,8 @@ fn trouble_to(trouble: &StreamTrouble) -> v1::StreamTrouble {
         StreamTrouble::ClockAhead { .. } => K::ClockAhead,
         StreamTrouble::StampUnit { .. } => K::StampUnit,
         StreamTrouble::MountFar { .. } => K::MountFar,
+        StreamTrouble::ClockApart { .. } => K::ClockApart,
+        StreamTrouble::StrayReturns { .. } => K::StrayReturns,
         StreamTrouble::RangeUnit { .. } => K::RangeUnit,
         StreamTrouble::SeesLittle { .. } => K::SeesLittle,
         StreamTrouble::OpticalFrame => K::OpticalFrame,

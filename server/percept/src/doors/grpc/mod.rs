@@ -64,7 +64,7 @@ type Answer<T> = Result<Response<T>, Status>;
 type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 /// Who sent a request, whichever door it came through.
-fn peer_of(extensions: &Extensions) -> Peer {
+pub(super) fn peer_of(extensions: &Extensions) -> Peer {
     let of_rest = || extensions.get::<CallContext>().and_then(|context| context.peer.parse().ok());
     let address = extensions.get::<PeerIdentity>().map(|identity| identity.address).or_else(of_rest);
     Peer::at(address.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0))))

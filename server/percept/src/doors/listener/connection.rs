@@ -3,7 +3,7 @@
 use super::answer::{Answer, Reader};
 use super::io::{Traffic, Watched};
 use super::request::{Arriving, Framing, Patience, Sender};
-use super::{PeerIdentity, Protocol, Shared};
+use super::{PeerIdentity, Protocol, Seat, Shared};
 use crate::doors::bounds::{Charge, Peer};
 use crate::doors::status;
 use axum::Router;
@@ -14,11 +14,9 @@ use http_body::Body as _;
 use hyper::body::Incoming;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
-use hyper_util::server::graceful::GracefulConnection;
 use percept_service::Limits;
-use percept_service::observe::{self, Door};
 use std::convert::Infallible;
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -47,6 +45,7 @@ pub(super) struct Connection {
     pub(super) protocol: Protocol,
     pub(super) shared: Shared,
     pub(super) identity: PeerIdentity,
+    pub(super) seat: Seat,
     pub(super) router: Router,
     pub(super) framing: fn(&Uri) -> Framing,
 }
@@ -142,10 +141,6 @@ impl Connection {
     pub(super) async fn run<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, socket: S) {
         let PeerIdentity { address, certificate } = &self.identity;
         tracing::debug!(%address, ?certificate, protocol = ?self.protocol, "connected");
-        let _open = observe::connection(match self.protocol {
-            Protocol::Grpc => Door::Grpc,
-            Protocol::Rest => Door::Rest,
-        });
         let traffic = Traffic::new();
         let io = TokioIo::new(Watched { socket, traffic: Arc::clone(&traffic) });
         let (protocol, limits, stopping) =
@@ -163,7 +158,9 @@ impl Connection {
                 let mut builder = hyper::server::conn::http1::Builder::new();
                 // The watcher has the time of headers: this one would also end connections that rest between requests.
                 builder.timer(TokioTimer::new()).header_read_timeout(None).max_buf_size(READ_BUFFER_BYTES);
-                watched.drive(builder.serve_connection(io, service)).await;
+                // A WebSocket takes its connection over.
+                let connection = builder.serve_connection(io, service).with_upgrades();
+                watched.drive(connection, |connection| connection.graceful_shutdown()).await;
             }
             Protocol::Grpc => {
                 let mut builder = hyper::server::conn::http2::Builder::new(TokioExecutor::new());
@@ -176,7 +173,8 @@ impl Connection {
                     .max_send_buf_size(SEND_BUFFER_BYTES)
                     .max_header_list_size(HEADER_BYTES as u32)
                     .max_concurrent_streams(u32::try_from(limits.max_calls_per_connection).unwrap_or(u32::MAX));
-                watched.drive(builder.serve_connection(io, service)).await;
+                let connection = builder.serve_connection(io, service);
+                watched.drive(connection, |connection| connection.graceful_shutdown()).await;
             }
         }
     }
@@ -206,6 +204,7 @@ impl Connection {
         let (body, sender, held) = Arriving::new(body, framing, &self.shared.memory, &peer, window);
         watch.lock().senders.push(sender);
         parts.extensions.insert(self.identity.clone());
+        parts.extensions.insert(self.seat.clone());
         parts.extensions.insert(held.clone());
         let request = Request::from_parts(parts, Body::new(body));
         let Ok(answer) = self.router.clone().oneshot(request).await;
@@ -236,7 +235,8 @@ struct Watching {
 }
 
 impl Watching {
-    async fn drive(self, connection: impl GracefulConnection) {
+    /// Polls a connection to its end; `finish` lets it take no more requests.
+    async fn drive<C: Future>(self, connection: C, finish: impl Fn(Pin<&mut C>)) {
         let mut connection = pin!(connection);
         let mut looks = tokio::time::interval(LOOK);
         looks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -247,14 +247,14 @@ impl Watching {
                 _ = &mut connection => return,
                 _ = stopping.wait_for(|s| *s), if stopped.is_none() => {
                     stopped = Some(Instant::now());
-                    connection.as_mut().graceful_shutdown();
+                    finish(connection.as_mut());
                     finishing.get_or_insert_with(Instant::now);
                     looks.reset();
                 }
                 _ = looks.tick() => match self.look(finishing, stopped) {
                     Verdict::Stay => {}
                     Verdict::Finish => {
-                        connection.as_mut().graceful_shutdown();
+                        finish(connection.as_mut());
                         finishing.get_or_insert_with(Instant::now);
                     }
                     Verdict::Cut => return,

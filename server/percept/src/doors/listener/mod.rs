@@ -20,6 +20,7 @@ use super::bounds::{Memory, Peer, Place, Places};
 use axum::Router;
 use axum::http::Uri;
 use connection::Connection;
+use percept_service::observe;
 use percept_service::{Limits, RateLimitedLog};
 use std::io::{Error, ErrorKind};
 use std::net::SocketAddr;
@@ -55,6 +56,12 @@ impl Protocol {
             Self::Grpc => "grpc",
         }
     }
+}
+
+/// A connection's place among all. Who takes the connection over, as WebSockets do, keeps it.
+#[derive(Clone)]
+pub(crate) struct Seat {
+    _taken: Arc<(Place, observe::Held)>,
 }
 
 /// What both doors share.
@@ -176,7 +183,14 @@ async fn run(
 ) {
     // Without it small answers wait for the peer's acknowledgement, 40 ms; a socket that refuses it still works.
     let _ = socket.set_nodelay(true);
-    let connection = |identity| Connection { protocol, shared: shared.clone(), identity, router, framing };
+    let connection = |identity| {
+        let open = observe::connection(match protocol {
+            Protocol::Grpc => observe::Door::Grpc,
+            Protocol::Rest => observe::Door::Rest,
+        });
+        let seat = Seat { _taken: Arc::new((place, open)) };
+        Connection { protocol, shared: shared.clone(), identity, seat, router, framing }
+    };
     match &shared.tls {
         None => connection(PeerIdentity { address, certificate: None }).run(socket).await,
         Some(tls) => {
@@ -188,5 +202,4 @@ async fn run(
             }
         }
     }
-    drop(place);
 }

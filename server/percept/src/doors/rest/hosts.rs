@@ -11,6 +11,9 @@ use std::net::{IpAddr, SocketAddr};
 /// Paths that machines ask by whatever name; they tell nothing.
 const ANY_NAME: [&str; 3] = ["/livez", "/readyz", "/healthz"];
 
+/// Ends of paths by which somebody goes on watching. To a WebSocket a browser lets any page connect.
+const WATCHES: [&str; 2] = ["/events", "/foxglove"];
+
 /// The names.
 #[derive(Debug, Clone)]
 pub(super) struct Hosts {
@@ -41,7 +44,8 @@ impl Hosts {
             let message = format!("host is {shown:?}; use the server's address, or add it to listen.allowed_hosts");
             return Err(Refused::http(StatusCode::MISDIRECTED_REQUEST, reason::HOST_UNKNOWN, message));
         }
-        let acts = !matches!(parts.method, Method::GET | Method::HEAD | Method::OPTIONS) || path.ends_with("/events");
+        let acts = !matches!(parts.method, Method::GET | Method::HEAD | Method::OPTIONS)
+            || WATCHES.iter().any(|end| path.ends_with(end));
         match text(header::ORIGIN) {
             Some(origin) if acts && !self.is_origin(origin, host) => {
                 let shown: String = origin.chars().take(200).collect();
@@ -141,6 +145,7 @@ mod tests {
             assert_eq!(from(origin, "POST", "/v1/sessions"), 403, "{origin}");
             assert_eq!(from(origin, "DELETE", "/v1/sessions/a"), 403, "{origin}");
             assert_eq!(from(origin, "GET", "/v1/sessions/a/events"), 403, "{origin}");
+            assert_eq!(from(origin, "GET", "/v1/sessions/a/foxglove"), 403, "{origin}");
             assert_eq!(from(origin, "GET", "/v1/sessions"), 200, "without a word from us the page cannot read it");
         }
     }

@@ -9,6 +9,7 @@ mod comments;
 mod events;
 mod fields;
 mod files;
+mod foxglove;
 mod hosts;
 mod openapi;
 mod pages;
@@ -30,7 +31,7 @@ use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, Version, header};
 use axum::middleware::{Next, from_fn, map_response};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{MethodFilter, on};
+use axum::routing::{MethodFilter, get, on};
 use bytes::Bytes;
 use hosts::Hosts;
 use percept_service::reason;
@@ -43,6 +44,9 @@ use tower_http::compression::CompressionLayer;
 /// JSON below this is not worth compressing, above `COMPRESS_AT_MOST_BYTES` not worth the wait.
 const COMPRESS_AT_LEAST_BYTES: u64 = 1 << 10;
 const COMPRESS_AT_MOST_BYTES: u64 = 4 << 20;
+
+/// A session as Foxglove opens it.
+const FOXGLOVE: &str = "/v1/sessions/{session_id}/foxglove";
 
 /// Serves until the server stops, then finishes what is under way.
 ///
@@ -83,6 +87,8 @@ fn router(api: Api, hosts: Hosts) -> Result<Router, Error> {
         let handler = move |request: Request| handle(Arc::clone(&route), operation, api.clone(), request);
         router = router.route(path, on(filter(verb), handler));
     }
+    let foxglove = api.clone();
+    router = router.route(FOXGLOVE, get(move |request: Request| opened_in_foxglove(foxglove.clone(), request)));
     Ok(router
         .fallback(not_found)
         .method_not_allowed_fallback(not_allowed)
@@ -176,6 +182,18 @@ async fn answer(route: &Bound, api: Api, request: Request) -> Result<Response, R
             files::export(&api, context, request, name, &parts.headers).await
         }
     }
+}
+
+async fn opened_in_foxglove(api: Api, request: Request) -> Response {
+    let (mut parts, body) = request.into_parts();
+    let opened = async {
+        let names = path_parameters(&mut parts).await?;
+        let session = names.into_iter().find(|(n, _)| n == "session_id").map(|(_, v)| v).unwrap_or_default();
+        foxglove::open(api, session, Request::from_parts(parts, body)).await
+    };
+    let mut response = opened.await.unwrap_or_else(IntoResponse::into_response);
+    response.extensions_mut().insert(Answered { operation: operations::FOXGLOVE });
+    response
 }
 
 async fn path_parameters(parts: &mut Parts) -> Result<Vec<(String, String)>, Refused> {

@@ -214,9 +214,8 @@ impl Topic<'_> {
         self.publisher.matching_status().await.is_ok_and(|status| status.matching())
     }
 
-    /// Publishes a message, as sent at `now_ns` (ns since the Unix epoch).
-    pub(super) async fn send<'m>(&self, message: &impl Message<'m>, now_ns: i64) -> Result<(), Failure> {
-        let bytes = message.encode()?;
+    /// Publishes an encoded message, as sent at `now_ns` (ns since the Unix epoch).
+    pub(super) async fn send(&self, bytes: Vec<u8>, now_ns: i64) -> Result<(), Failure> {
         let sequence = self.sent.fetch_add(1, Ordering::Relaxed) + 1;
         let attachment = Attachment { sequence, source_time_ns: now_ns, gid: self.gid };
         self.publisher.put(bytes).attachment(attachment.to_bytes().to_vec()).await

@@ -1,7 +1,7 @@
 //! Robots on ROS 2, without ROS: their topics come by zenoh, as rmw_zenoh or the bridge of zenoh and DDS puts them there.
 //!
 //! Each endpoint has a zenoh session of its own, so that robots on different routers stay apart; each robot has a task that
-//! listens ([`robot`]) and one that publishes ([`results`]). Who may reach that network may speak for its robots: that is how
+//! listens ([`robot`]) and one that publishes ([`publish`]). Who may reach that network may speak for its robots: that is how
 //! ROS 2 is. What they feed are the sessions that the settings name, and no others.
 
 mod book;
@@ -13,7 +13,7 @@ mod motion;
 mod mounts;
 mod numbers;
 mod pairs;
-mod results;
+mod publish;
 mod robot;
 mod settings;
 
@@ -24,7 +24,7 @@ use super::zenoh::Failure;
 use link::Entities;
 use percept_identity::{Access, Grant, Pattern, Principal, random_token};
 use percept_service::{CallContext, Caller};
-use results::Shared;
+use publish::Shared;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -106,7 +106,7 @@ async fn attend(zenoh: &zenoh::Session, entities: &Entities, api: &Api, robot: &
             if !robot.publishes {
                 return listening.await;
             }
-            let publishing = results::serve(zenoh, entities, robot, &caller, &shared, goals);
+            let publishing = publish::serve(zenoh, entities, robot, &caller, &shared, goals);
             tokio::try_join!(listening, publishing).map(drop)
         };
         if let Err(error) = attended.await

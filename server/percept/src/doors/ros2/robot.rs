@@ -10,7 +10,7 @@ use super::link::{self, Found};
 use super::mounts::Mounts;
 use super::numbers::Numbers;
 use super::pairs::{Half, Pairs};
-use super::results::{Goal, Shared};
+use super::publish::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
 use percept_geometry::{Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
