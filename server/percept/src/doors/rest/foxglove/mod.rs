@@ -336,9 +336,9 @@ impl Viewer {
             self.give(GRID, message).await?;
         }
         if self.shown.take(PATH) {
-            match self.results().path().await.transpose() {
-                Some(message) => self.give(PATH, message).await?,
-                None => {}
+            let path = self.results().path().await;
+            if let Some(message) = path.transpose() {
+                self.give(PATH, message).await?;
             }
         }
         if with_clouds && self.shown.take(CLOUD) {
