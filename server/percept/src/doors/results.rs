@@ -44,7 +44,7 @@ impl NoMessage {
     pub(super) fn reason(&self) -> &str {
         match self {
             Self::Refused(error) => error.reason,
-            Self::Convert(_) | Self::Encode(_) => "UNSAID",
+            Self::Convert(_) | Self::Encode(_) => percept_service::reason::INTERNAL,
         }
     }
 }

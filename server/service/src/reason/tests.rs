@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 /// Crates that refuse requests.
 const CRATES: [&str; 4] = ["identity", "service", "wire", "percept"];
 
-/// Words in capitals that are no reasons: codes of gRPC, variables of the environment, names of the contract.
+/// Words in capitals that are no reasons: codes of gRPC, variables of the environment, names of the contract, a word of Foxglove's.
 fn is_other(word: &str) -> bool {
     let codes =
         ["ALREADY_EXISTS", "DATA_LOSS", "FAILED_PRECONDITION", "INVALID_ARGUMENT", "NOT_FOUND", "RESOURCE_EXHAUSTED"];
     let prefixes = [
         "PERCEPT_",
+        "ROS_DISTRO",
         "CARGO_",
         "OUT_DIR",
         "FEATURE_METHOD_",
