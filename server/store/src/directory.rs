@@ -1,6 +1,7 @@
 //! A local directory made ready: created, locked, cleared of what a crash left half-written.
 
 use std::fs::{DirBuilder, File, TryLockError};
+use std::io::ErrorKind;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -17,7 +18,7 @@ pub(crate) struct DirectoryLock {
 
 /// Makes the directory, which is then its owner's alone, and syncs its entry. One that is there keeps its mode.
 pub(crate) fn prepare(root: &Path, fsync: bool) -> Result<(), StoreError> {
-    let io = |error| StoreError::from_io("prepare the data directory", error);
+    let io = |error| StoreError::from_io("prepare the data directory", named(root, error));
     let existed = root.exists();
     if let Some(parent) = root.parent() {
         std::fs::create_dir_all(parent).map_err(io)?;
@@ -33,9 +34,19 @@ pub(crate) fn prepare(root: &Path, fsync: bool) -> Result<(), StoreError> {
     Ok(())
 }
 
+/// An error that says of which directory it is, and that it is none where a file has its name.
+fn named(root: &Path, error: std::io::Error) -> std::io::Error {
+    match error.kind() {
+        // These are known by their number.
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => error,
+        _ if root.is_file() => std::io::Error::new(ErrorKind::NotADirectory, format!("{} is a file", root.display())),
+        kind => std::io::Error::new(kind, format!("{}: {error}", root.display())),
+    }
+}
+
 /// Takes the lock, waiting for at most `wait`.
 pub(crate) async fn lock(root: &Path, wait: Duration) -> Result<DirectoryLock, StoreError> {
-    let io = |error| StoreError::from_io("lock the data directory", error);
+    let io = |error| StoreError::from_io("lock the data directory", named(root, error));
     let file = File::options().create(true).truncate(false).write(true).open(root.join(LOCK)).map_err(io)?;
     let deadline = Instant::now() + wait;
     loop {

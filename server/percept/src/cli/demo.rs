@@ -5,7 +5,7 @@ use super::eval_objects::{demo_params, truth_in_map};
 use super::replay::FILES;
 use super::report::Report;
 use super::serve::{Running, Signals, runtime};
-use super::{Failure, input};
+use super::{Failure, files, input};
 use nalgebra::Point2;
 use percept_evaluation::{FoundObject, match_detections};
 use percept_geometry::{ObjectClass, Pose, Stamped};
@@ -47,7 +47,7 @@ pub(crate) fn run(args: DemoArgs) -> Result<(), Failure> {
 
 async fn demo(args: &DemoArgs) -> Result<(), Failure> {
     let simulation = Simulation::new(demo_params(args.seed, args.rooms))?;
-    std::fs::create_dir_all(&args.out)?;
+    files::make_folder(&args.out)?;
     let data = tempfile::tempdir()?;
     let mut running = start_server(args, data.path()).await?;
     let grpc = running.addresses.grpc.clone();
@@ -181,7 +181,7 @@ async fn tell_graph(session: &RemoteSession, out: &Path) -> Result<(), Failure> 
     let said = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
     println!("{:>10}  which rooms have a table? {said}", "asked");
     let text = serde_json::to_vec_pretty(&json::to_json("SceneGraph", &graph)?)?;
-    std::fs::write(out.join("scene_graph.json"), text)?;
+    files::write(&out.join("scene_graph.json"), text)?;
     Ok(())
 }
 
@@ -223,11 +223,11 @@ async fn write_pictures(
     path: &[Point2<f64>],
 ) -> Result<(), Failure> {
     for (name, _, format) in FILES.iter().filter(|(name, ..)| *name != "overview.png") {
-        std::fs::write(out.join(name), session.export(*format).await?)?;
+        files::write(&out.join(name), session.export(*format).await?)?;
     }
     let listed = v1::ListObjectsResponse { objects: objects.to_vec(), ..Default::default() };
-    std::fs::write(
-        out.join("objects.json"),
+    files::write(
+        &out.join("objects.json"),
         serde_json::to_vec_pretty(&json::to_json("ListObjectsResponse", &listed)?)?,
     )?;
     // The same picture as the server's, with the path in it.
@@ -244,7 +244,7 @@ async fn write_pictures(
         rooms: rooms(session).await?,
         ..Default::default()
     };
-    std::fs::write(out.join("overview.png"), pictures::overview(&grid, &scene, "demo")?)?;
+    files::write(&out.join("overview.png"), pictures::overview(&grid, &scene, "demo")?)?;
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! `percept eval slam`: the whole pipeline in simulated sessions, judged by exact truth.
 
 use super::slam_run::{FrameRecord, RIGHT_M, RIGHT_RAD, SlamRun, run_session};
-use super::{Failure, plot};
+use super::{Failure, files, plot};
 use percept_evaluation::{Alignment, ErrorStatistics, PosePair, Similarity, absolute_error, align};
 use percept_geometry::Pose;
 use percept_pipeline::PipelineParams;
@@ -172,7 +172,7 @@ pub(crate) fn run(args: &SlamArgs) -> Result<(), Failure> {
         write_csv(path, &with)?;
     }
     if let Some(path) = &args.plot {
-        std::fs::write(path, plot::session(&with, open.as_ref())?)?;
+        files::write(path, plot::session(&with, open.as_ref())?)?;
     }
     if let Some(dir) = &args.out {
         write_trajectories(dir, &with)?;
@@ -286,7 +286,7 @@ fn write_csv(path: &Path, run: &SlamRun) -> Result<(), Failure> {
 }
 
 fn write_trajectories(dir: &Path, run: &SlamRun) -> Result<(), Failure> {
-    std::fs::create_dir_all(dir)?;
+    files::make_folder(dir)?;
     let pairs = run.final_pairs();
     let tum = |name: &str, pose: &dyn Fn(&PosePair) -> Pose| -> Result<(), Failure> {
         let poses: Vec<_> =

@@ -1,6 +1,6 @@
 //! `percept eval trajectory`: ATE, RPE and drift of a trajectory file.
 
-use super::{Failure, plot};
+use super::{Failure, files, plot};
 use percept_evaluation::{
     Alignment, Delta, ErrorStatistics, SegmentParams, Trajectory, TrajectoryParams, TrajectoryScore, aligned_pairs,
     score_trajectory,
@@ -123,7 +123,7 @@ pub(crate) fn run(args: &TrajectoryArgs) -> Result<(), Failure> {
     let score = score_trajectory(&reference, &estimate, &params)?;
     if let Some(path) = &args.plot {
         let (pairs, _) = aligned_pairs(&reference, &estimate, &params)?;
-        std::fs::write(path, plot::trajectories(&pairs)?)?;
+        files::write(path, plot::trajectories(&pairs)?)?;
     }
     if args.json {
         println!("{}", to_json(&score));

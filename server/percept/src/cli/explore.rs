@@ -1,7 +1,7 @@
 //! `percept coverage` and `percept frontiers`: on a map file, without a server, or through the map of a session of a running server.
 
 use super::client::{AccessArgs, Connection, RemoteSession, answered, connect};
-use super::{Failure, input, plan};
+use super::{Failure, files, input, plan};
 use nalgebra::Point2;
 use percept_geometry::Timestamp;
 use percept_mapping::DenseGrid;
@@ -151,7 +151,7 @@ pub(crate) fn coverage(args: CoverageArgs) -> Result<(), Failure> {
         None => super::serve::runtime()?.block_on(coverage_on_server(&args))?,
     };
     if let (Some(file), Some(png)) = (&args.picture, png) {
-        plan::write(file, &png)?;
+        files::write(file, &png)?;
     }
     if args.ground.json {
         println!("{}", serde_json::to_string(&json::to_json("PlanCoverageResponse", &answer)?)?);
@@ -160,9 +160,9 @@ pub(crate) fn coverage(args: CoverageArgs) -> Result<(), Failure> {
         Some(Outcome::Path(covering)) => {
             let path = covering.path.as_ref().ok_or("the answer has no path")?;
             match (&args.out, as_csv) {
-                (Some(file), Some(true)) => plan::write(file, plan::csv(path).as_bytes())?,
+                (Some(file), Some(true)) => files::write(file, plan::csv(path).as_bytes())?,
                 (Some(file), _) => {
-                    plan::write(file, &serde_json::to_vec_pretty(&json::to_json("CoveragePath", covering)?)?)?;
+                    files::write(file, &serde_json::to_vec_pretty(&json::to_json("CoveragePath", covering)?)?)?;
                 }
                 (None, _) => {}
             }
@@ -249,9 +249,9 @@ pub(crate) fn frontiers(args: FrontierArgs) -> Result<(), Failure> {
     match (&args.out, as_csv) {
         (Some(file), Some(true)) => {
             let rows: String = answer.frontiers.iter().map(row).collect();
-            plan::write(file, format!("goal_x_m,goal_y_m,length_m,cost_m\n{rows}").as_bytes())?;
+            files::write(file, format!("goal_x_m,goal_y_m,length_m,cost_m\n{rows}").as_bytes())?;
         }
-        (Some(file), _) => plan::write(file, &serde_json::to_vec_pretty(&whole()?)?)?,
+        (Some(file), _) => files::write(file, &serde_json::to_vec_pretty(&whole()?)?)?,
         (None, _) => {}
     }
     if args.ground.json {

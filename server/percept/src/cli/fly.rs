@@ -1,7 +1,7 @@
 //! `percept fly`: a path in space, through an OctoMap file without a server, or through the voxels of a session of a running one.
 
 use super::client::{AccessArgs, RemoteSession, answered, connect};
-use super::{Failure, input, plan};
+use super::{Failure, files, input, plan};
 use nalgebra::Point3;
 use percept_formats::{FormatError, Limits as FileLimits, OctreeMap, octomap, read_file};
 use percept_geometry::{Aabb3, Timestamp, Voxel};
@@ -89,9 +89,9 @@ pub(crate) fn run(args: FlyArgs) -> Result<(), Failure> {
     match &answer.outcome {
         Some(Outcome::Path(path)) => {
             match (&args.out, as_csv) {
-                (Some(file), Some(true)) => plan::write(file, csv(path).as_bytes())?,
+                (Some(file), Some(true)) => files::write(file, csv(path).as_bytes())?,
                 (Some(file), _) => {
-                    plan::write(file, &serde_json::to_vec_pretty(&json::to_json("FlightPath", path)?)?)?;
+                    files::write(file, &serde_json::to_vec_pretty(&json::to_json("FlightPath", path)?)?)?;
                 }
                 (None, _) => {}
             }

@@ -15,6 +15,7 @@ mod eval_slam;
 mod eval_trajectory;
 mod eval_wheels;
 mod explore;
+mod files;
 mod fly;
 mod health;
 mod import_map;

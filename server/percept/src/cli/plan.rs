@@ -1,7 +1,7 @@
 //! `percept plan`: a path on a map file, without a server, or through the map of a session of a running server.
 
 use super::client::{AccessArgs, RemoteSession, answered, connect};
-use super::{Failure, input};
+use super::{Failure, files, input};
 use nalgebra::Point2;
 use percept_formats::{Limits as FileLimits, nav2};
 use percept_mapping::DenseGrid;
@@ -116,7 +116,7 @@ pub(crate) fn run(args: PlanArgs) -> Result<(), Failure> {
         None => super::serve::runtime()?.block_on(on_server(&args))?,
     };
     if let (Some(file), Some(png)) = (&args.picture, png) {
-        write(file, &png)?;
+        files::write(file, &png)?;
     }
     let answer = v1::PlanOnMapResponse { outcome: Some(outcome) };
     if args.json {
@@ -125,9 +125,9 @@ pub(crate) fn run(args: PlanArgs) -> Result<(), Failure> {
     match &answer.outcome {
         Some(Outcome::Path(path)) => {
             match (&args.out, as_csv) {
-                (Some(file), Some(true)) => write(file, csv(path).as_bytes())?,
+                (Some(file), Some(true)) => files::write(file, csv(path).as_bytes())?,
                 (Some(file), _) => {
-                    write(file, &serde_json::to_vec_pretty(&json::to_json("Path", path)?)?)?;
+                    files::write(file, &serde_json::to_vec_pretty(&json::to_json("Path", path)?)?)?;
                 }
                 (None, _) => {}
             }
@@ -302,8 +302,4 @@ pub(super) fn csv(path: &v1::Path) -> String {
         let _ = writeln!(out, "{},{},{},{},{clearance},{}", w.x_m, w.y_m, w.yaw_rad, w.time_s, w.is_reverse);
     }
     out
-}
-
-pub(super) fn write(file: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(file, bytes).map_err(|e| format!("cannot write {}: {e}", file.display()).into())
 }

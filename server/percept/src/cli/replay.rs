@@ -3,7 +3,7 @@
 use super::client::{AccessArgs, RemoteSession, connect};
 use super::report::{Report, peak_rss_mb};
 use super::streams::{Chosen, Stream};
-use super::{Failure, input, local};
+use super::{Failure, files, input, local};
 use percept_formats::dataset::{self, Dataset, OpenOptions};
 use percept_formats::{Limits as FileLimits, read_file, trajectory};
 use percept_geometry::{SensorFrame, SensorKind, Timestamp};
@@ -255,7 +255,7 @@ pub(crate) const FILES: [(&str, MapFormat, v1::MapFormat); 9] = [
 
 /// Writes trajectory, maps, cloud, objects and scene graph of a snapshot.
 pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failure> {
-    std::fs::create_dir_all(dir)?;
+    files::make_folder(dir)?;
     let of_layers = [
         ("voxels.bt", MapFormat::VoxelsBt, v1::MapFormat::VoxelsBt),
         ("voxels-view.png", MapFormat::VoxelsViewPng, v1::MapFormat::VoxelsViewPng),
@@ -266,7 +266,7 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
     ];
     for (name, format, _) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd").chain(&of_layers) {
         match map_files::export(snapshot, "map", *format, &Limits::default()) {
-            Ok(file) => std::fs::write(dir.join(name), file.bytes)?,
+            Ok(file) => files::write(&dir.join(name), file.bytes)?,
             // Who did not ask for a layer does not miss it.
             Err(e) if e.reason == reason::LAYER_OFF => {}
             Err(e) if e.reason == reason::MAP_EMPTY => eprintln!("percept: {name} not written: the map is empty"),
@@ -279,11 +279,11 @@ pub(crate) fn write_results(dir: &Path, snapshot: &Snapshot) -> Result<(), Failu
         map_version: snapshot.map_version,
     };
     let objects = json::to_json("ListObjectsResponse", &objects)?;
-    std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
+    files::write(&dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
     let max_cells = snapshot.params.planning.max_cells;
     let graph = snapshot.scene_graph(&BTreeMap::new(), None, None, None, &RelationFilter::default(), max_cells)?;
     let graph = json::to_json("SceneGraph", &convert::scene::graph_to(&graph))?;
-    std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
+    files::write(&dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())
 }
 
@@ -346,7 +346,7 @@ fn restamp(dir: &Path, recording: &Dataset) -> Result<(), Failure> {
     poses.sort_by_key(|p| p.stamp);
     let mut text = Vec::new();
     trajectory::write_tum(&mut text, &poses)?;
-    Ok(std::fs::write(path, text)?)
+    files::write(&path, text)
 }
 
 async fn counts(session: &RemoteSession) -> Result<(usize, usize), Failure> {
@@ -357,10 +357,10 @@ async fn counts(session: &RemoteSession) -> Result<(usize, usize), Failure> {
 }
 
 async fn write_remote(dir: &Path, session: &RemoteSession) -> Result<(), Failure> {
-    std::fs::create_dir_all(dir)?;
+    files::make_folder(dir)?;
     for (name, _, format) in FILES.iter().filter(|(name, ..)| *name != "cloud.pcd") {
         match session.export(*format).await {
-            Ok(bytes) => std::fs::write(dir.join(name), bytes)?,
+            Ok(bytes) => files::write(&dir.join(name), bytes)?,
             Err(e) => eprintln!("percept: {name} not written: {e}"),
         }
     }
@@ -373,8 +373,8 @@ async fn write_remote(dir: &Path, session: &RemoteSession) -> Result<(), Failure
     };
     let objects = scene.list_objects(request).await?.into_inner();
     let objects = json::to_json("ListObjectsResponse", &objects)?;
-    std::fs::write(dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
+    files::write(&dir.join("objects.json"), serde_json::to_vec_pretty(&objects)?)?;
     let graph = json::to_json("SceneGraph", &session.scene_graph(None).await?)?;
-    std::fs::write(dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
+    files::write(&dir.join("scene_graph.json"), serde_json::to_vec_pretty(&graph)?)?;
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! `percept sim`: a simulated robot that streams its sensors into a server.
 
 use super::client::{AccessArgs, RemoteSession, connect};
-use super::{Failure, input};
+use super::{Failure, files, input};
 use percept_sim::{SensorSuite, SimParams, Simulation, WorldParams};
 use serde_json::json;
 use std::path::PathBuf;
@@ -81,7 +81,7 @@ pub(crate) fn run(args: SimArgs) -> Result<(), Failure> {
     };
     let simulation = Simulation::new(params)?;
     if let Some(path) = &args.truth {
-        std::fs::write(path, serde_json::to_vec_pretty(&truth(&simulation))?)?;
+        files::write(path, serde_json::to_vec_pretty(&truth(&simulation))?)?;
     }
     let runtime = super::serve::runtime()?;
     runtime.block_on(drive(&args, &simulation))

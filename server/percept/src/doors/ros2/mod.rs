@@ -92,7 +92,7 @@ async fn open(connect: &str, listen: &str, max_message_bytes: usize) -> Result<z
     ] {
         config.insert_json5(key, &value)?;
     }
-    zenoh::open(config).await
+    super::zenoh::open(config).await
 }
 
 /// Listens to a robot and publishes to it; what fails is begun again.

@@ -43,6 +43,25 @@ const COUNTS_EVERY: Duration = Duration::from_secs(5);
 
 pub(super) type Failure = Box<dyn std::error::Error + Send + Sync>;
 
+/// Opens a session of zenoh.
+///
+/// # Errors
+/// What zenoh says, without the lines of its source in which it says it.
+pub(super) async fn open(config: zenoh::Config) -> Result<zenoh::Session, Failure> {
+    zenoh::open(config).await.map_err(|error| without_source_lines(&error.to_string()).into())
+}
+
+/// Zenoh's errors name the file and line of each cause: ` at /some/path/file.rs:12.`
+fn without_source_lines(words: &str) -> String {
+    let (mut out, mut rest) = (String::new(), words);
+    while let Some((before, place)) = rest.split_once(" at /") {
+        let Some((_, after)) = place.split_once(".rs:").filter(|(file, _)| !file.contains(' ')) else { break };
+        out.push_str(before);
+        rest = after.trim_start_matches(|c: char| c.is_ascii_digit()).trim_start_matches('.');
+    }
+    out + rest
+}
+
 /// What every session of the door is opened with.
 fn config(setup: &Setup) -> Result<zenoh::Config, Failure> {
     let mut config = zenoh::Config::default();
@@ -110,7 +129,7 @@ impl Setup {
             return Ok(None);
         }
         let stamps = self.stamps();
-        Ok(Some((zenoh::open(listening(self, policy)?).await?, stamps)))
+        Ok(Some((open(listening(self, policy)?).await?, stamps)))
     }
 
     /// Zenoh reads certificates and users when it is opened, and only then.
@@ -386,4 +405,21 @@ fn message_of(api: &Api, session: &str, sensor: &str, sample: &Sample) -> Result
         }
     }
     Ok(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_zenoh_are_told_without_the_lines_of_its_source() {
+        let words =
+            "Unable to connect to any of [tcp/a:1]!  at /root/.cargo/x/zenoh-1.10.2/src/net/orchestrator.rs:401.";
+        assert_eq!(without_source_lines(words), "Unable to connect to any of [tcp/a:1]! ");
+        let nested = "No at /a/b.rs:1. - Caused by refused (os error 111) at /c/d.rs:22.";
+        assert_eq!(without_source_lines(nested), "No - Caused by refused (os error 111)");
+        for other in ["", "there is no file at /etc/percept", "at /x y.rs:1"] {
+            assert_eq!(without_source_lines(other), other);
+        }
+    }
 }

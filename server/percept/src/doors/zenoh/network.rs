@@ -5,7 +5,7 @@
 //! at most every 100 ms whom a router has beside it, by an index that a router which left hands on to the one that comes;
 //! what it leaves and comes back in between is never told again, and percept would hear nothing.
 
-use super::{Attended, Failure};
+use super::{Attended, Failure, open};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -40,7 +40,7 @@ async fn serve(
     config.insert_json5("mode", "\"client\"")?;
     config.insert_json5("connect/endpoints", &serde_json::to_string(&[router])?)?;
     let session = tokio::select! {
-        opened = zenoh::open(config) => opened?,
+        opened = open(config) => opened?,
         _ = stopping.wait_for(|s| *s) => return Ok(()),
     };
     tracing::info!(router, "the zenoh network is joined");
