@@ -4,7 +4,10 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::LevelFilter;
 
 /// These speak of their own affairs at `info`: under a plain level they are kept one step quieter.
-const LIBRARIES: [&str; 6] = ["h2", "hyper", "slatedb", "tonic", "tower", "zenoh"];
+const LIBRARIES: [&str; 5] = ["h2", "hyper", "slatedb", "tonic", "tower"];
+/// It warns of each try to reach a router that is not there, with lines of its source. The doors say that by themselves, once in a
+/// while and in words, so that under a plain `info` it speaks of errors alone.
+const ZENOH: &str = "zenoh";
 
 /// The filter of a plain level, or of directives such as `info,percept=debug`.
 ///
@@ -22,6 +25,8 @@ pub(crate) fn filter(level: &str) -> Result<EnvFilter, String> {
         LevelFilter::OFF => "off",
         _ => "error",
     };
-    let quieter = LIBRARIES.iter().filter_map(|library| format!("{library}={theirs}").parse().ok());
+    let zenoh = if ours == LevelFilter::INFO { "error" } else { theirs };
+    let levels = LIBRARIES.iter().map(|library| (*library, theirs)).chain([(ZENOH, zenoh)]);
+    let quieter = levels.filter_map(|(library, level)| format!("{library}={level}").parse().ok());
     Ok(quieter.fold(EnvFilter::default().add_directive(ours.into()), EnvFilter::add_directive))
 }

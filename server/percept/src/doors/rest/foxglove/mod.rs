@@ -21,7 +21,7 @@ use percept_ros::Message;
 use percept_ros::messages::{
     Detection3DArray, MarkerArray, OccupancyGrid, Path, PointCloud2, PoseStamped, PoseWithCovarianceStamped, TFMessage,
 };
-use percept_service::{Caller, Error, EventKind, admission, reason};
+use percept_service::{Caller, Error, EventKind, Guarded, admission, reason};
 use protocol::{Channel, ClientChannel, Level, SUBPROTOCOLS, Said};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -29,9 +29,9 @@ use std::time::Duration;
 /// Frames of the map and of the robot, as REP-105 calls them.
 const MAP: &str = "map";
 const BASE: &str = "base_link";
-/// What is large is sent no more often.
+/// What is large is sent no more often, whatever a client asks for.
 const PERIOD: Duration = Duration::from_secs(1);
-/// Clouds are larger still: every so many periods, but at once to who subscribes.
+/// Clouds are larger still: every so many periods, but in the next one to who subscribes.
 const CLOUD_EVERY: u32 = 5;
 /// A peer is asked so often whether it is there.
 const PING: Duration = Duration::from_secs(15);
@@ -89,7 +89,8 @@ pub(super) async fn open(api: Api, session: String, request: Request) -> Result<
     let seat = parts.extensions.get::<Seat>().cloned();
     Ok(upgrade.on_upgrade(move |socket| async move {
         let patience = Duration::from_secs(api.service.limits().unread_timeout_s as u64);
-        let mut viewer = Viewer { socket, patience, caller, session, shown: Shown::default(), client: BTreeMap::new() };
+        let (service, shown, client) = (api.service.clone(), Shown::default(), BTreeMap::new());
+        let mut viewer = Viewer { service, socket, patience, caller, session, shown, client };
         // A client that has gone needs no answer.
         let _ = viewer.serve(api.stopping.clone()).await;
         drop((place, seat));
@@ -117,6 +118,8 @@ struct Shown {
     /// The way to the last goal.
     plan: Option<Vec<u8>>,
     periods: u32,
+    /// Somebody has just subscribed to the cloud.
+    is_cloud_due: bool,
 }
 
 impl Shown {
@@ -138,6 +141,7 @@ impl Shown {
 
 /// Somebody who looks at a session.
 struct Viewer {
+    service: Guarded,
     socket: WebSocket,
     patience: Duration,
     caller: Caller,
@@ -207,11 +211,12 @@ impl Viewer {
                         Some(channel) => {
                             self.shown.subscriptions[channel] = Some(wanted.id);
                             self.shown.outdate(&[channel]);
+                            self.shown.is_cloud_due |= channel == CLOUD;
                         }
                         None => self.warn("channel", &format!("there is no channel {}", wanted.channel_id)).await?,
                     }
                 }
-                self.refresh(true).await
+                Ok(())
             }
             Said::Unsubscribe { subscription_ids } => {
                 for wanted in &mut self.shown.subscriptions {
@@ -268,6 +273,10 @@ impl Viewer {
     }
 
     async fn plan(&mut self, t_map_goal: &Pose) -> Alive {
+        // A goal is a request like any other's.
+        if let Err(error) = self.service.caller(self.caller.context().clone()) {
+            return self.warn("goal", &format!("no path: {error}")).await;
+        }
         match self.results().plan(t_map_goal).await {
             Ok(planned) => {
                 self.shown.plan = Some(planned.path);
@@ -276,7 +285,7 @@ impl Viewer {
                     Some(why) => self.warn("goal", &format!("no path: {why}")).await?,
                     None => self.text(protocol::remove_status("goal")).await?,
                 }
-                self.refresh(true).await
+                self.refresh(false).await
             }
             Err(error) => self.warn("goal", &format!("no path: {error}")).await,
         }
@@ -304,8 +313,8 @@ impl Viewer {
     /// What is due once a period.
     async fn show(&mut self) -> Alive {
         self.shown.periods = self.shown.periods.wrapping_add(1);
-        let with_clouds = self.shown.periods.is_multiple_of(CLOUD_EVERY);
-        self.refresh(with_clouds).await
+        let is_due = std::mem::take(&mut self.shown.is_cloud_due) || self.shown.periods.is_multiple_of(CLOUD_EVERY);
+        self.refresh(is_due).await
     }
 
     /// Where the robot is; where it is not known to be, the last place stays.
