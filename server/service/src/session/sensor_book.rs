@@ -144,7 +144,7 @@ impl Entry {
     /// By how much its stamps are ahead of another sensor's, if they are apart.
     fn ahead_of(&self, other: &Self) -> Option<f64> {
         let offset_s = |e: &Self| e.status.declaration.spec.time_offset_s;
-        self.recent.newest()?.ahead_of(offset_s(self), &other.recent.newest()?, offset_s(other))
+        self.recent.ahead_of(offset_s(self), &other.recent, offset_s(other))
     }
 }
 

@@ -78,16 +78,27 @@ impl Recent {
         }
     }
 
-    /// The newest.
-    pub(super) fn newest(&self) -> Option<Newest> {
-        let last = self.frames.back()?;
-        let first = self.frames.front().filter(|_| self.frames.len() > 1)?;
-        let usual = |span_s: f64| span_s / (self.frames.len() - 1) as f64;
-        Some(Newest {
-            stamp: last.stamp,
-            at: last.at,
-            usual_s: (usual(last.stamp.seconds_since(first.stamp)), usual(seconds_between(last.at, first.at))),
-        })
+    /// By how much the stamps are ahead of another stream's that come at the same time, seconds, the declared offsets of both counted;
+    /// none if that is no more than streams are, or they do not come at the same time.
+    pub(super) fn ahead_of(&self, offset_s: f64, other: &Self, other_offset_s: f64) -> Option<f64> {
+        let (of_stamps, of_arrival) =
+            (self.usual_s().zip(other.usual_s())).map(|(a, b)| (APART.1 * a.0.max(b.0), APART.1 * a.1.max(b.1)))?;
+        let apart = |frame: &Came| {
+            let came_s = |other: &Came| seconds_between(frame.at, other.at);
+            let beside = other.frames.iter().min_by(|a, b| came_s(a).abs().total_cmp(&came_s(b).abs()))?;
+            let ahead_s = frame.stamp.seconds_since(beside.stamp) + offset_s - other_offset_s - came_s(beside);
+            (came_s(beside).abs() <= of_arrival).then_some(ahead_s)
+        };
+        let all: Vec<f64> = self.frames.iter().filter_map(apart).collect();
+        let are_most = 2 * all.len() > self.frames.len();
+        percentile(all, 0.5).filter(|ahead_s| are_most && ahead_s.abs() > APART.0.max(of_stamps))
+    }
+
+    /// Time between frames, mean, by stamps and by arrival, seconds.
+    fn usual_s(&self) -> Option<(f64, f64)> {
+        let (first, last) = self.frames.front().zip(self.frames.back())?;
+        let num = self.frames.len().checked_sub(1).filter(|n| *n > 0)? as f64;
+        Some((last.stamp.seconds_since(first.stamp) / num, seconds_between(last.at, first.at) / num))
     }
 
     /// What they tell at `now`.
@@ -114,30 +125,10 @@ impl Recent {
     }
 }
 
-/// The newest frame of a stream.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Newest {
-    stamp: Timestamp,
-    at: Instant,
-    /// Between frames, mean: by stamps and by arrival, seconds.
-    usual_s: (f64, f64),
-}
-
-/// Two streams are apart from so many seconds on, and so many intervals of the slower one. What goes with a frame is waited for
-/// 0.1 s, and placed half a second from it at most.
+/// Two streams are apart from so many seconds on, and so many intervals of the slower one; frames come at the same time if no more
+/// of these lie between them, for a recording is sent faster than time goes. What goes with a frame is waited for 0.1 s, and placed
+/// half a second from it at most.
 const APART: (f64, f64) = (1.0, 3.0);
-
-impl Newest {
-    /// By how much the stamps are ahead of another stream's, given when both came, seconds, the declared offsets of both counted; none
-    /// if that is no more than streams are, or they did not come at the same time: a recording is sent faster than time goes.
-    pub(super) fn ahead_of(&self, offset_s: f64, other: &Self, other_offset_s: f64) -> Option<f64> {
-        let came_s = seconds_between(self.at, other.at);
-        let usual = |of: fn(&Self) -> f64| of(self).max(of(other));
-        let ahead_s = self.stamp.seconds_since(other.stamp) + offset_s - other_offset_s - came_s;
-        let is_apart = ahead_s.abs() > APART.0 && ahead_s.abs() > APART.1 * usual(|n| n.usual_s.0);
-        (is_apart && came_s.abs() <= APART.1 * usual(|n| n.usual_s.1)).then_some(ahead_s)
-    }
-}
 
 /// From `b` to `a`, negative if that is before.
 fn seconds_between(a: Instant, b: Instant) -> f64 {
@@ -163,6 +154,42 @@ fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Frames every 0.1 s by the stamps, which began so many seconds from now.
+    fn stream(begin_s: f64, num: u32, every: Duration, late: Duration) -> Recent {
+        let (mut recent, now) = (Recent::default(), Instant::now());
+        for i in 0..num {
+            let stamp = Timestamp::from_secs_f64(1000.0 + begin_s + 0.1 * f64::from(i));
+            let at = now + late + every * i;
+            recent.frames.push_back(Came { stamp, at, delay_s: 0.0, latency_s: 0.0, look: FrameLook::default() });
+        }
+        recent
+    }
+
+    #[test]
+    fn clocks_apart_and_links_that_are_slow_are_seen_whatever_the_pace() {
+        for every in [Duration::from_millis(100), Duration::from_micros(200)] {
+            let lidar = stream(0.0, 50, every, Duration::ZERO);
+            let jitter = every.mul_f64(0.4);
+            assert_eq!(stream(0.0, 50, every, jitter).ahead_of(0.0, &lidar, 0.0), None);
+            for begin_s in [-60.0, 3.0] {
+                let ahead_s = stream(begin_s, 50, every, jitter).ahead_of(0.0, &lidar, 0.0).unwrap();
+                assert!((ahead_s - begin_s).abs() < 0.2, "{ahead_s}");
+                assert_eq!(stream(begin_s, 50, every, jitter).ahead_of(-begin_s, &lidar, 0.0), None, "declared");
+            }
+        }
+        // Right stamps, held up for two seconds on the way.
+        let every = Duration::from_millis(100);
+        let lidar = stream(0.0, 50, every, Duration::ZERO);
+        let late = stream(0.0, 50, every, Duration::from_secs(2)).ahead_of(0.0, &lidar, 0.0).unwrap();
+        assert!((late + 2.0).abs() < 0.2, "{late}");
+        // One that ended long before the other's newest frames.
+        let fast = Duration::from_micros(200);
+        assert_eq!(
+            stream(-100.0, 50, fast, Duration::ZERO).ahead_of(0.0, &stream(0.0, 50, fast, fast * 1000), 0.0),
+            None
+        );
+    }
 
     #[test]
     fn figures_are_those_of_the_newest_frames() {
