@@ -230,7 +230,8 @@ def test_the_key_may_be_in_the_address_since_foxglove_sends_no_header(tmp_path):
                 foxglove.subscribe("/tf")
                 foxglove.until("/tf")
             # Nowhere else.
-            assert httpx.get(f"{server.rest_url}/v1/sessions/kept?access_token={key}").status_code == 401
+            for path in ("kept", "foxglove", "a/b/foxglove"):
+                assert httpx.get(f"{server.rest_url}/v1/sessions/{path}?access_token={key}").status_code == 401
     finally:
         server.kill()
 

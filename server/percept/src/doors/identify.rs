@@ -26,8 +26,8 @@ const OPEN_SERVICE: &str = "/grpc.health.v1.Health/";
 const DOCUMENTS: [&str; 3] = ["/docs", "/openapi.json", "/reasons"];
 const REFLECTION: &str = "/grpc.reflection.";
 const METRICS: &str = "/metrics";
-/// Where this path ends, the key may be in the query as RFC 6750, section 2.3, has it: Foxglove sends no headers.
-const KEY_IN_QUERY: &str = "/foxglove";
+/// A session as Foxglove opens it. There the key may be in the query as RFC 6750, section 2.3, has it: Foxglove sends no headers.
+const FOXGLOVE: (&str, &str) = ("/v1/sessions/", "/foxglove");
 const ACCESS_TOKEN: &str = "access_token=";
 
 /// How a door says no.
@@ -129,7 +129,9 @@ impl Gate {
 
 /// The key that a query has, where one may be there.
 fn in_query(parts: &Parts) -> Option<&str> {
-    let query = parts.uri.query().filter(|_| parts.uri.path().ends_with(KEY_IN_QUERY))?;
+    let (before, after) = FOXGLOVE;
+    let session = parts.uri.path().strip_prefix(before).and_then(|rest| rest.strip_suffix(after));
+    let query = parts.uri.query().filter(|_| session.is_some_and(|id| !id.is_empty() && !id.contains('/')))?;
     query.split('&').find_map(|pair| pair.strip_prefix(ACCESS_TOKEN))
 }
 

@@ -24,7 +24,7 @@ use percept_ros::messages::{
 use percept_service::{Caller, Error, EventKind, Guarded, admission, reason};
 use protocol::{Channel, ClientChannel, Level, SUBPROTOCOLS, Said};
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Frames of the map and of the robot, as REP-105 calls them.
 const MAP: &str = "map";
@@ -33,8 +33,9 @@ const BASE: &str = "base_link";
 const PERIOD: Duration = Duration::from_secs(1);
 /// Clouds are larger still: every so many periods, but in the next one to who subscribes.
 const CLOUD_EVERY: u32 = 5;
-/// A peer is asked so often whether it is there.
+/// A peer is asked so often whether it is there, and gone if so long nothing has come of it.
 const PING: Duration = Duration::from_secs(15);
+const SILENCE: Duration = Duration::from_secs(40);
 /// A client says no more than this at a time.
 const MAX_SAID_BYTES: usize = 64 << 10;
 /// Topics that a client may publish.
@@ -166,15 +167,22 @@ impl Viewer {
             interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         }
         let (mut ended, mut moved) = (std::pin::pin!(caller.ended()), std::pin::pin!(caller.moved(&session)));
+        let mut heard = Instant::now();
         loop {
             tokio::select! {
                 frame = self.socket.recv() => match frame {
-                    Some(Ok(frame)) => self.hear(frame).await?,
+                    Some(Ok(frame)) => {
+                        heard = Instant::now();
+                        self.hear(frame).await?;
+                    }
                     Some(Err(_)) | None => return Err(Gone),
                 },
                 event = events.next(&caller, &session) => self.happened(event).await?,
                 _ = period.tick() => self.show().await?,
-                _ = ping.tick() => self.frame(Frame::Ping(axum::body::Bytes::new())).await?,
+                _ = ping.tick() => match heard.elapsed() < SILENCE {
+                    true => self.frame(Frame::Ping(axum::body::Bytes::new())).await?,
+                    false => return Err(Gone),
+                },
                 error = &mut ended => return self.end(close_code::POLICY, &error).await,
                 error = &mut moved => return self.end(close_code::RESTART, &error).await,
                 () = stops(&mut stopping) => {
@@ -197,8 +205,8 @@ impl Viewer {
                 Err(error) => self.warn("said", &format!("a message of yours cannot be read: {error}")).await,
             },
             Frame::Binary(bytes) => self.published(&bytes).await,
-            Frame::Close(_) => Err(Gone),
-            Frame::Ping(_) | Frame::Pong(_) => Ok(()),
+            // Nothing comes after an end, once it was answered.
+            Frame::Close(_) | Frame::Ping(_) | Frame::Pong(_) => Ok(()),
         }
     }
 
