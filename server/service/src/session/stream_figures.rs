@@ -155,10 +155,10 @@ fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Frames every 0.1 s by the stamps, which began so many seconds from now.
-    fn stream(begin_s: f64, num: u32, every: Duration, late: Duration) -> Recent {
-        let (mut recent, now) = (Recent::default(), Instant::now());
-        for i in 0..num {
+    /// Fifty frames every 0.1 s by the stamps, which begin at so many seconds, that come from so long after `now` on.
+    fn stream(now: Instant, begin_s: f64, every: Duration, late: Duration) -> Recent {
+        let mut recent = Recent::default();
+        for i in 0..50u32 {
             let stamp = Timestamp::from_secs_f64(1000.0 + begin_s + 0.1 * f64::from(i));
             let at = now + late + every * i;
             recent.frames.push_back(Came { stamp, at, delay_s: 0.0, latency_s: 0.0, look: FrameLook::default() });
@@ -168,25 +168,26 @@ mod tests {
 
     #[test]
     fn clocks_apart_and_links_that_are_slow_are_seen_whatever_the_pace() {
+        let now = Instant::now();
         for every in [Duration::from_millis(100), Duration::from_micros(200)] {
-            let lidar = stream(0.0, 50, every, Duration::ZERO);
+            let lidar = stream(now, 0.0, every, Duration::ZERO);
             let jitter = every.mul_f64(0.4);
-            assert_eq!(stream(0.0, 50, every, jitter).ahead_of(0.0, &lidar, 0.0), None);
+            assert_eq!(stream(now, 0.0, every, jitter).ahead_of(0.0, &lidar, 0.0), None);
             for begin_s in [-60.0, 3.0] {
-                let ahead_s = stream(begin_s, 50, every, jitter).ahead_of(0.0, &lidar, 0.0).unwrap();
+                let ahead_s = stream(now, begin_s, every, jitter).ahead_of(0.0, &lidar, 0.0).unwrap();
                 assert!((ahead_s - begin_s).abs() < 0.2, "{ahead_s}");
-                assert_eq!(stream(begin_s, 50, every, jitter).ahead_of(-begin_s, &lidar, 0.0), None, "declared");
+                assert_eq!(stream(now, begin_s, every, jitter).ahead_of(-begin_s, &lidar, 0.0), None, "declared");
             }
         }
         // Right stamps, held up for two seconds on the way.
         let every = Duration::from_millis(100);
-        let lidar = stream(0.0, 50, every, Duration::ZERO);
-        let late = stream(0.0, 50, every, Duration::from_secs(2)).ahead_of(0.0, &lidar, 0.0).unwrap();
+        let lidar = stream(now, 0.0, every, Duration::ZERO);
+        let late = stream(now, 0.0, every, Duration::from_secs(2)).ahead_of(0.0, &lidar, 0.0).unwrap();
         assert!((late + 2.0).abs() < 0.2, "{late}");
         // One that ended long before the other's newest frames.
         let fast = Duration::from_micros(200);
         assert_eq!(
-            stream(-100.0, 50, fast, Duration::ZERO).ahead_of(0.0, &stream(0.0, 50, fast, fast * 1000), 0.0),
+            stream(now, -100.0, fast, Duration::ZERO).ahead_of(0.0, &stream(now, 0.0, fast, fast * 1000), 0.0),
             None
         );
     }
