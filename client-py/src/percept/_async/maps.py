@@ -165,7 +165,8 @@ class AsyncMaps(AsyncSessionBound):
         nav2's yaml with its image beside it, OctoMap's .bt or .ot, a cloud (PLY, PCD, LAS, ...), z up.
         Declare the robot's sensors first: a planar lidar is found in a floor plan, a 3D one in voxels and
         points of rooms; on a street it has to be told. start: base to map, a pose or its (4, 4) matrix,
-        where that is known; a robot with another sensor needs it. sensor_height_m: above the ground, as
+        where that is known within a metre; a robot with another sensor needs it, and one whose lidar sees at
+        first what does not fit there is looked for all the same. sensor_height_m: above the ground, as
         declared if left out. voxel_size_m: of the voxels by which points hide each other, 0.1 if left out.
 
         It is an operation, which goes on whoever hangs up, and is waited for; with wait=False it is what is

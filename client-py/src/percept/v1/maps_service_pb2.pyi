@@ -144,7 +144,9 @@ class ImportMapRequest(_message.Message):
 
     @_builtins.property
     def start(self) -> _geometry_pb2.Pose:
-        """Base to map, where the robot starts, if that is known: else it is looked for."""
+        """Base to map, where the robot starts, if that is known within a metre: else it is looked for, as it is where what its first frame
+        shows does not fit there.
+        """
 
     def __init__(
         self,
