@@ -32,6 +32,10 @@ impl ParamsError {
 pub struct SlamParams {
     /// Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd or depth, camera).
     pub pose_sensor: String,
+    /// Only localises in the map that there is: nothing that the robot sees enters it, and where that contradicts the map the robot is
+    /// lost and looked for. In a session without a map the robot is lost until one is imported. May be turned on and off at any time; after it
+    /// is off the map goes on where the robot is.
+    pub localisation_only: bool,
     /// Registration of frames, and when one becomes a keyframe.
     pub odometry: OdometryParams,
     /// Loops, and the corrections that follow from them.

@@ -13,9 +13,9 @@ pub use given::NotEmpty;
 pub use report::FrameReport;
 pub use settings::may_change;
 
-use crate::frontend::{FoundAt, Frontend, Keyframe, Registered, Unanchored, View};
+use crate::frontend::{FoundAt, Frontend, Keyframe, Registered, View};
 use crate::live::{NewestFrames, Seen};
-use crate::map_graph::{MapGraph, MapUpdate, UnanchoredView};
+use crate::map_graph::{MapGraph, MapUpdate, Probed, UnanchoredView};
 use crate::related::RelatedThings;
 use crate::rooms::DividedMap;
 use crate::scene::Scene;
@@ -25,7 +25,7 @@ use crate::{
     Snapshot, TrajectoryEntry,
 };
 use nalgebra::Point3;
-use percept_geometry::{KeyframeScan, OrientedBox3, Pose, SensorFrame, SensorId, SensorSpec};
+use percept_geometry::{Covariance6, KeyframeScan, OrientedBox3, Pose, SensorFrame, SensorId, SensorSpec};
 use percept_mapping::{MapStore, Submap};
 use percept_slam::{OdometryEstimate, OdometryKind, Scan};
 use std::sync::Arc;
@@ -115,18 +115,23 @@ impl Pipeline {
         }
         if self.pose.is_none() {
             self.come_into_given(view);
+            if self.params.slam.localisation_only && self.map_graph.keyframes().is_empty() {
+                self.frontend.wait_to_be_found();
+            }
         }
         let is_mapped = |t_odom_base: &Pose| self.map_graph.is_mapped(sensor, t_odom_base);
-        let Registered { mut estimate, kind, led_by, moved } = self.frontend.register(view, is_mapped);
+        let Registered { mut estimate, kind, led_by, is_doubtful, moved } = self.frontend.register(view, is_mapped);
         self.map_graph.prepare(kind);
         self.map_graph.move_without_scale(&moved);
         let mut update = MapUpdate::default();
         if !estimate.scale.is_metric() {
             self.map_graph.wait_for_scale(|| self.frontend.up(stamp), &estimate.t_odom_base);
-        } else if let Some(unanchored) = self.frontend.tracking().unanchored() {
-            estimate = self.relocalise(view, kind, unanchored, estimate, &mut update);
+        } else {
+            let is_doubtful = is_doubtful || (self.params.slam.localisation_only && estimate.state.is_tracking());
+            estimate = self.relocalise((view, kind), is_doubtful, estimate, &mut update);
         }
-        let is_anchored = self.frontend.tracking().is_anchored();
+        let tracking = self.frontend.tracking();
+        let (is_anchored, is_tentative) = (tracking.is_anchored(), tracking.is_tentative());
         let before_joined = if is_anchored { self.join_waiting(&mut update) } else { None };
         self.move_objects(&update.moved);
         // What it has not seen it adds nothing to the map by.
@@ -139,8 +144,10 @@ impl Pipeline {
         estimate.state = self.frontend.tracking().told(&estimate);
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
         self.pose = Some(pose.clone());
-        self.keep_newest(view, &pose, is_anchored, seen);
-        let trajectory = self.extend_trajectory(sensor, &pose, is_anchored, keyframe.as_ref());
+        self.keep_newest(view, &pose, is_anchored || is_tentative, seen);
+        // What is not certain is told in the trajectory once it is.
+        let is_told = is_anchored || (is_tentative && self.params.slam.localisation_only);
+        let trajectory = self.extend_trajectory(sensor, &pose, is_told, keyframe.as_ref());
         if is_anchored {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
         }
@@ -168,12 +175,12 @@ impl Pipeline {
     }
 
     /// Keeps what a view of the pose sensor shows, for a while.
-    fn keep_newest(&mut self, view: &View, pose: &PoseEstimate, is_anchored: bool, keyframe: Option<KeyframeScan>) {
-        if !is_anchored || pose.is_relocalised {
+    fn keep_newest(&mut self, view: &View, pose: &PoseEstimate, is_in_map: bool, keyframe: Option<KeyframeScan>) {
+        if !is_in_map || pose.is_relocalised {
             self.newest.clear();
             self.second_looks.clear();
         }
-        if is_anchored && pose.led_by.is_none() && !pose.state.is_lost() && pose.scale.is_metric() {
+        if is_in_map && pose.led_by.is_none() && !pose.state.is_lost() && pose.scale.is_metric() {
             let seen = match keyframe {
                 Some(scan) if !matches!(view.scan, Scan::Image(_)) => Some(Seen::Keyframe(Box::new(scan))),
                 _ => self.frontend.live(view).map(Seen::Later),
@@ -206,27 +213,33 @@ impl Pipeline {
     fn keyframe_beside(&mut self, view: &View) -> Option<NewKeyframe> {
         let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
         let (stamp, covariance) = (pose.stamp, pose.covariance);
+        let is_anchored = !self.frontend.tracking().is_tentative();
         let live = self.frontend.live_beside(view, stamp);
         self.keep(view, live.map(|(t_odom_base, scan)| (t_odom_base, Seen::Later(scan))));
         let wanted = || self.second_looks.is_due(&view.spec.id, view.stamp);
-        let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance), wanted)?;
+        let keyframe =
+            if is_anchored { self.frontend.keyframe_beside(view, (stamp, covariance), wanted)? } else { return None };
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);
         Some(self.add(keyframe, &view.scan, None))
     }
 
-    /// A view of a robot that nothing anchors in the map: the estimate as it is, or as it is in the map where the robot was found.
+    /// A view of a robot that nothing anchors in the map, or that was found and may be elsewhere: the estimate as it is, or as it is in
+    /// the map where the robot was found. Others are as they are.
     fn relocalise(
         &mut self,
-        view: &View,
-        kind: OdometryKind,
-        unanchored: Unanchored,
+        (view, kind): (&View, OdometryKind),
+        is_doubtful: bool,
         estimate: OdometryEstimate,
         update: &mut MapUpdate,
     ) -> OdometryEstimate {
         let frontend = &self.frontend;
-        let unanchored = UnanchoredView {
-            unanchored,
+        let (unanchored, is_anchored) = (frontend.tracking().unanchored(), frontend.tracking().is_anchored());
+        let is_tentative = frontend.tracking().is_tentative();
+        if unanchored.is_none() && !is_tentative && !(is_anchored && is_doubtful) {
+            return estimate;
+        }
+        let seen = UnanchoredView {
             kind,
             sensor: &view.spec.id,
             pose_sensor: frontend.pose_sensor(),
@@ -235,10 +248,35 @@ impl Pipeline {
             usual_inlier_ratio: frontend.usual_inlier_ratio(),
             kept: &|| frontend.kept_of(view),
         };
-        let Some(found) = self.map_graph.relocalise(&unanchored, update) else { return estimate };
+        let found = if let Some(unanchored) = unanchored {
+            self.map_graph.relocalise(&seen, &unanchored, update)
+        } else if is_tentative {
+            let probed = self.map_graph.probe(&seen, update);
+            self.heed(probed, &estimate);
+            None
+        } else {
+            let in_map = self.covariance_of(&estimate);
+            if self.map_graph.doubt(&seen, &in_map) {
+                self.frontend.doubt();
+            }
+            None
+        };
         update.joined.iter().for_each(|k| self.frontend.go_on_from(&k.info.sensor, &k.t_odom_base));
+        let Some(found) = found else { return estimate };
         self.found_at = found.at;
         self.frontend.found(found)
+    }
+
+    /// What has come of it that the robot was found.
+    fn heed(&mut self, probed: Probed, estimate: &OdometryEstimate) {
+        match probed {
+            Probed::Open(at) => self.found_at = Some(at),
+            Probed::Confirmed(at) => {
+                self.found_at = Some(at);
+                self.frontend.confirm(estimate, true);
+            }
+            Probed::Withdrawn => self.frontend.confirm(estimate, false),
+        }
     }
 
     /// Lets a part that waited join, if it was found; the robot's keyframe before, which its way goes on from, and with a
@@ -289,9 +327,7 @@ impl Pipeline {
             state: estimate.state,
             t_map_base: self.map_graph.t_map_odom() * estimate.t_odom_base,
             t_odom_base: estimate.t_odom_base,
-            covariance: self
-                .found_at
-                .map_or(estimate.covariance, |found| found.since(&estimate.t_odom_base, &estimate.covariance)),
+            covariance: self.covariance_of(estimate),
             inlier_ratio: estimate.inlier_ratio,
             rmse_m: estimate.rmse_m,
             degenerate_axes: estimate.degenerate_axes,
@@ -301,6 +337,12 @@ impl Pipeline {
             led_by: None,
             map_version: self.map_graph.map().version(),
         }
+    }
+
+    /// Of the pose in the map.
+    fn covariance_of(&self, estimate: &OdometryEstimate) -> Covariance6 {
+        let since = |found: FoundAt| found.since(&estimate.t_odom_base, &estimate.covariance);
+        self.found_at.map_or(estimate.covariance, since)
     }
 
     /// What is kept in memory, by part: of the map now, of the rest as counted at the newest keyframe.

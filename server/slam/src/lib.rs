@@ -28,7 +28,7 @@ pub use back_end::{
 };
 pub use inertial::{ImuBuffer, ImuFault};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
-pub use loops::{LoopClosure, Relocalisation};
+pub use loops::{Evidence, LoopClosure, Relocalisation};
 pub use motion_prior::MotionPrior;
 pub use odometry::{Growth, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, way_m};
 pub use param_error::ParamError;

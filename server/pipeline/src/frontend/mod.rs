@@ -179,11 +179,13 @@ impl Frontend {
         self.last_registered = Some(stamp);
         self.is_metric = estimate.scale.is_metric();
         let (estimate, led_by) = self.with_stand_in(estimate, kind, led);
+        let is_back = self.tracking.is_lost() && estimate.state.is_tracking() && led_by.is_none();
+        let is_doubtful = is_back && !is_sure(estimate.inlier_ratio, self.usual_inlier_ratio);
         self.tracking.step(&estimate, has_wheels, || is_mapped(&estimate.t_odom_base));
         if self.tracking.is_anchored() && led_by.is_none() && estimate.state.is_tracking() {
             self.usual_inlier_ratio += 0.1 * (estimate.inlier_ratio - self.usual_inlier_ratio);
         }
-        Registered { estimate, kind, led_by, moved }
+        Registered { estimate, kind, led_by, is_doubtful, moved }
     }
 
     /// How the newest pose hangs on the map.
@@ -201,10 +203,20 @@ impl Frontend {
         if let Some(odometry) = found.odometry {
             self.odometry = Some(odometry);
         }
-        self.tracking.found(&found.estimate);
+        self.tracking.found(&found.estimate, found.is_certain);
         self.second.pose_jumped();
         self.is_metric = found.estimate.scale.is_metric();
         found.estimate
+    }
+
+    /// The robot may be elsewhere than where it is in the map.
+    pub(crate) fn doubt(&mut self) {
+        self.tracking.doubt();
+    }
+
+    /// The robot is where it was found; or it is not, and adrift.
+    pub(crate) fn confirm(&mut self, estimate: &OdometryEstimate, is_there: bool) {
+        if is_there { self.tracking.found(estimate, true) } else { self.tracking.withdraw() }
     }
 
     /// The direction against gravity in base, if an IMU was at rest just before a stamp.
@@ -231,6 +243,14 @@ impl Frontend {
     pub(crate) fn mount_offsets(&self) -> Arc<BTreeMap<SensorId, MountOffset>> {
         self.extrinsics.told()
     }
+}
+
+/// A frame is believed to be back if it fits this share of how well frames usually fit, and this well at least: rooms resemble each other.
+const SURE: (f64, f64) = (0.8, 0.6);
+
+/// Whether a frame of a robot that was lost fits well enough to be where it was.
+pub(crate) fn is_sure(inlier_ratio: f64, usual_inlier_ratio: f64) -> bool {
+    inlier_ratio >= SURE.1.max(SURE.0 * usual_inlier_ratio)
 }
 
 /// The method for what a scan shows.

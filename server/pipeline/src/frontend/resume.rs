@@ -31,8 +31,9 @@ impl Frontend {
         Some(kind)
     }
 
-    /// The robot is somewhere in a map that was there before it: it is lost until it is found.
+    /// The robot is somewhere in a map that was there before it, or will be: odometry begins anew, and it is lost until it is found.
     pub(crate) fn wait_to_be_found(&mut self) {
+        (self.odometry, self.last_registered) = (None, None);
         self.tracking = Tracking::lost_in_given();
     }
 

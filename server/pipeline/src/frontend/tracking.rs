@@ -2,7 +2,8 @@
 //!
 //! Odometry that was lost for too long starts a new local model at a pose that it predicted. If wheels covered every frame of
 //! the loss, that pose is dead reckoning and mapping goes on. Otherwise nothing measured anchors it in the map: the robot is
-//! unanchored and the map stays as it is, until the relocaliser has found it.
+//! unanchored and the map stays as it is, until the relocaliser has found it. Where it was found it is tentative, and the map still
+//! stays as it is, until what it sees elsewhere agrees.
 
 use percept_geometry::{Pose, Timestamp};
 use percept_slam::{LostReason, OdometryEstimate, TrackingState};
@@ -44,6 +45,8 @@ pub(crate) enum Tracking {
     Lost { last: AnchoredFrame },
     /// Odometry began anew from a guess: nothing anchors it in the map.
     Unanchored(Unanchored),
+    /// The robot was found in the map, and may be in another place that looks alike.
+    Tentative { last: AnchoredFrame },
 }
 
 impl Tracking {
@@ -76,6 +79,8 @@ impl Tracking {
             Self::Unanchored(before) => {
                 return Self::Unanchored(Unanchored { num_frames: before.num_frames + 1, ..before });
             }
+            Self::Tentative { last } if estimate.state == TrackingState::Initialising => (last, false, false),
+            Self::Tentative { .. } => return self,
             Self::Anchored { last } => (last, false, is_covered),
             Self::DeadReckoning { last, is_contradicted } => (last, is_contradicted, is_covered),
             Self::Lost { last } => (last, false, false),
@@ -100,6 +105,9 @@ impl Tracking {
         let (last, is_contradicted) = match self {
             Self::Initialising | Self::WaitingForScale => return Self::WaitingForScale,
             Self::Unanchored(_) => return self,
+            Self::Tentative { last } => {
+                return Self::Unanchored(Unanchored { last, num_frames: 0, is_reckoned: false });
+            }
             Self::Anchored { last } if is_covered => (last, false),
             Self::DeadReckoning { last, is_contradicted } if is_covered => (last, is_contradicted),
             Self::Anchored { last } | Self::DeadReckoning { last, .. } | Self::Lost { last } => {
@@ -109,9 +117,36 @@ impl Tracking {
         Self::DeadReckoning { last, is_contradicted }
     }
 
-    /// The robot was found in the map, or what it has seen became the map.
-    pub(crate) fn found(&mut self, estimate: &OdometryEstimate) {
-        *self = Self::resumed(estimate.t_odom_base, estimate.stamp);
+    /// The robot was found in the map, certainly or not, or what it has seen became the map.
+    pub(crate) fn found(&mut self, estimate: &OdometryEstimate, is_certain: bool) {
+        *self = match *self {
+            Self::Unanchored(Unanchored { last, .. }) if !is_certain => Self::Tentative { last },
+            _ => Self::resumed(estimate.t_odom_base, estimate.stamp),
+        };
+    }
+
+    /// The robot is anchored in the map, and may be in another place that looks alike.
+    pub(crate) fn doubt(&mut self) {
+        if let Self::Anchored { last } = *self {
+            *self = Self::Tentative { last };
+        }
+    }
+
+    /// Whether the newest frames were not placed, and no new local model was begun.
+    pub(crate) fn is_lost(&self) -> bool {
+        matches!(self, Self::Lost { .. } | Self::DeadReckoning { .. })
+    }
+
+    /// The robot is not where it was found.
+    pub(crate) fn withdraw(&mut self) {
+        if let Self::Tentative { last } = *self {
+            *self = Self::Unanchored(Unanchored { last, num_frames: 0, is_reckoned: false });
+        }
+    }
+
+    /// Whether the robot was found in the map, and may be in another place that looks alike.
+    pub(crate) fn is_tentative(&self) -> bool {
+        matches!(self, Self::Tentative { .. })
     }
 
     /// Whether the newest frame is anchored in the map.

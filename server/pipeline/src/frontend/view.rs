@@ -30,6 +30,8 @@ pub(crate) struct Registered {
     pub(crate) kind: OdometryKind,
     /// The second sensor that measured it in the pose sensor's place.
     pub(crate) led_by: Option<SensorId>,
+    /// Whether odometry goes on after a loss with less than what usually fits: it may be elsewhere.
+    pub(crate) is_doubtful: bool,
     /// How the past moved with it, in a camera's own map: stamps, ascending, and old to new odom near them.
     pub(crate) moved: Vec<(Timestamp, Pose)>,
 }
@@ -60,4 +62,6 @@ pub(crate) struct Found {
     pub(crate) odometry: Option<Odometry>,
     /// Where it was found, if odometry goes on.
     pub(crate) at: Option<FoundAt>,
+    /// Whether nothing that it sees next can say otherwise.
+    pub(crate) is_certain: bool,
 }

@@ -26,6 +26,7 @@ impl MapGraph {
             match answer {
                 Answer::Update(newest, found) => self.follow(Some(newest), *found, update),
                 Answer::Relocalised(relocated) => self.relocaliser.hear(relocated),
+                Answer::Checked(checked) => self.hear_checked(checked),
             }
         }
     }

@@ -18,8 +18,9 @@ impl MapGraph {
         self.keyframes.iter().next().is_some_and(|k| is_given(&k.sensor))
     }
 
-    /// Puts views of a map that was given into the empty map, whose frame is theirs.
+    /// Puts views of a map that was given into the empty map, whose frame is theirs. What a robot has seen before is forgotten.
     pub(crate) fn take_given(&mut self, views: Vec<GivenView>) -> Vec<NewKeyframe> {
+        self.relocaliser.begin_anew();
         let enter = |view: GivenView| {
             let (stamp, sensor) = (view.scan.stamp, view.scan.sensor.clone());
             self.insert(stamp, &sensor, view.t_map_base, Arc::new(view.scan), false)
@@ -29,10 +30,11 @@ impl MapGraph {
 
     /// Makes the back end over keyframes that came before the first frame of the sensor that moves the pose.
     pub(crate) fn prepare_over_given(&mut self, kind: OdometryKind, sensor: &SensorId) {
-        if self.constraints.is_active() || self.keyframes.is_empty() {
+        self.prepare(kind);
+        let is_known = self.constraints.at_rest().is_none_or(|back_end| !back_end.poses().is_empty());
+        if is_known || self.keyframes.is_empty() {
             return;
         }
-        self.prepare(kind);
         let node = |info: &KeyframeInfo| {
             let scan = self.map.kept_scan(info.id)?.clone();
             Some(BackEndKeyframe {

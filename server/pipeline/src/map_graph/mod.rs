@@ -13,6 +13,7 @@ mod joining;
 mod keyframes;
 mod level;
 mod part;
+mod probation;
 mod relocaliser;
 mod restore;
 mod revising;
@@ -20,6 +21,7 @@ mod trajectory;
 mod update;
 mod worker;
 
+pub(crate) use probation::Probed;
 pub(crate) use relocaliser::UnanchoredView;
 pub(crate) use restore::End;
 #[cfg(test)]
@@ -186,7 +188,8 @@ impl MapGraph {
         Some((self.t_map_odom.inverse() * keyframe.t_map_base, self.map.scan(id)?))
     }
 
-    /// Adds a frame to the trajectory: on its keyframe, if it is one, else on the newest of the sensor that moves the pose. One that is
+    /// Adds a frame to the trajectory: on its keyframe, if it is one, else on the newest of the sensor that moves the pose; in a map that
+    /// was given and to which that adds nothing, on the one that it was found by. One that is
     /// older than the newest entry is left out, as a pose sensor's is that comes late while a second sensor leads.
     pub(crate) fn extend_trajectory(
         &mut self,
@@ -199,7 +202,10 @@ impl MapGraph {
         }
         let anchor = match keyframe {
             Some(k) => &k.info,
-            None => self.keyframes.iter().rev().find(|k| k.sensor == *sensor)?,
+            None => {
+                let own = self.keyframes.iter().rev().find(|k| k.sensor == *sensor);
+                own.or_else(|| self.keyframes.of(self.relocaliser.found_by()?))?
+            }
         };
         Some(self.trajectory.push(frame, anchor, keyframe.is_some()))
     }

@@ -6,7 +6,7 @@
 
 use crate::beside::{Executor, Task};
 use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, Timestamp};
-use percept_slam::{BackEnd, BackEndKeyframe, BackEndMemory, BackEndUpdate, Loop, Relocalisation};
+use percept_slam::{BackEnd, BackEndKeyframe, BackEndMemory, BackEndUpdate, Evidence, Loop, Relocalisation};
 use std::sync::Arc;
 
 /// A batch's answers are taken in so many seconds after it was begun: a batch of a few keyframes takes up to a tenth of that
@@ -27,7 +27,7 @@ const DELAY_OF_RELOCALISING_S: f64 = 0.2;
 const MOST_QUESTIONS: usize = 16;
 
 fn delay_s(back_end: &BackEnd, questions: &[Question]) -> f64 {
-    if questions.iter().all(|q| matches!(q, Question::Relocalise(_))) {
+    if questions.iter().all(|q| matches!(q, Question::Relocalise(_) | Question::Check(..))) {
         return if back_end.relocalises_in_steps() { DELAY_OF_STEP_S } else { DELAY_OF_RELOCALISING_S };
     }
     let num_keyframes = back_end.poses().len();
@@ -41,6 +41,8 @@ pub(crate) enum Question {
     Keyframe(BackEndKeyframe),
     /// Where a robot is that was lost.
     Relocalise(Sighting),
+    /// Whether a robot that was found is where it is believed to be, base to map at the sighting.
+    Check(Sighting, Pose),
     /// To know keyframes that lie as they do; nothing is answered.
     Restore(Vec<BackEndKeyframe>),
 }
@@ -65,6 +67,19 @@ pub(crate) enum Answer {
     Update(KeyframeId, Box<BackEndUpdate>),
     /// Where the robot was at a sighting.
     Relocalised(Relocated),
+    /// What a sighting says of where the robot was believed to be.
+    Checked(Checked),
+}
+
+/// What a sighting says of where a robot was believed to be.
+#[derive(Debug)]
+pub(crate) struct Checked {
+    pub(crate) evidence: Evidence,
+    /// As [`Relocated`] has them.
+    pub(crate) drift: Covariance6,
+    pub(crate) t_odom_base: Pose,
+    pub(crate) covariance: Covariance6,
+    pub(crate) part: u64,
 }
 
 /// Where a robot was at a sighting; none unless that is certain.
@@ -195,6 +210,14 @@ fn work(back_end: &mut BackEnd, questions: Vec<Question>) -> Answers {
             let drift = found.as_ref().map_or_else(Covariance6::zeros, |found| back_end.drift_at(found.keyframe));
             let is_unfinished = back_end.is_unfinished();
             Some(Answer::Relocalised(Relocated { found, is_unfinished, drift, t_odom_base, covariance, part }))
+        }
+        Question::Check(Sighting { scan, t_odom_base, covariance, part, .. }, t_map_base) => {
+            let evidence = back_end.check(&scan, &t_map_base);
+            let drift = match &evidence {
+                Evidence::Agrees(found) => back_end.drift_at(found.keyframe),
+                Evidence::Contradicts | Evidence::Nothing => Covariance6::zeros(),
+            };
+            Some(Answer::Checked(Checked { evidence, drift, t_odom_base, covariance, part }))
         }
         Question::Restore(keyframes) => {
             back_end.resume(keyframes.into_iter(), vec![], 0);

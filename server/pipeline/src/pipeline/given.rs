@@ -18,9 +18,12 @@ impl Pipeline {
     /// # Errors
     /// [`NotEmpty`]; nothing was changed.
     pub fn take_given(&mut self, views: Vec<GivenView>, start: Option<Pose>) -> Result<Vec<NewKeyframe>, NotEmpty> {
-        if !self.map_graph.keyframes().is_empty() || self.pose.is_some() {
+        // A robot that only localises has been nowhere before there is a map.
+        let has_begun = self.pose.is_some() && self.frontend.tracking().unanchored().is_none();
+        if !self.map_graph.keyframes().is_empty() || has_begun {
             return Err(NotEmpty);
         }
+        self.pose = None;
         let keyframes = self.map_graph.take_given(views);
         self.frontend.wait_to_be_found();
         self.start = start;

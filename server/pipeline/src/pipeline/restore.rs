@@ -18,6 +18,11 @@ impl Pipeline {
         let end = self.map_graph.restore(&restored);
         self.scene.restore(&self.params, &restored.objects, restored.next_object_id);
         match end {
+            // A robot that only localises in a map that was given starts where it was.
+            Some(end) if is_given(&end.sensor) => {
+                self.frontend.wait_to_be_found();
+                self.start = Some(end.t_map_base);
+            }
             Some(end) => self.resume(&end, &restored),
             None if !restored.keyframes.is_empty() => {
                 self.frontend.wait_to_be_found();
@@ -30,7 +35,12 @@ impl Pipeline {
 
     /// Takes up odometry where the trajectory ends, with the last keyframes as the local model.
     fn resume(&mut self, end: &End, restored: &Restored) {
-        let recent = self.map_graph.recent_keyframes(&end.sensor);
+        let graph = &self.map_graph;
+        let recent = match self.params.slam.localisation_only {
+            // The newest ones are where it mapped last.
+            true => graph.keyframes_near(&end.sensor, &end.t_odom_base),
+            false => graph.recent_keyframes(&end.sensor),
+        };
         let Some(kind) = self.frontend.resume(&end.sensor, (end.t_odom_base, end.stamp), &recent) else { return };
         self.map_graph.restore_constraints(kind, &end.sensor, restored);
         self.pose = Some(PoseEstimate {

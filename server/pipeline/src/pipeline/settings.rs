@@ -6,8 +6,16 @@ use percept_slam::{KeyframeParams, OdometryParams};
 use std::sync::Arc;
 
 /// Sections whose parameters may change.
-const CHANGEABLE: [&str; 7] =
-    ["slam.odometry.keyframe.", "live.", "detection.", "tracker.", "relations.", "rooms.", "planning."];
+const CHANGEABLE: [&str; 8] = [
+    "slam.odometry.keyframe.",
+    "slam.localisation_only",
+    "live.",
+    "detection.",
+    "tracker.",
+    "relations.",
+    "rooms.",
+    "planning.",
+];
 
 /// Those in them that stay: keyframes that are there are known by it.
 const FIXED: [&str; 1] = ["slam.odometry.keyframe.features"];
@@ -24,7 +32,7 @@ impl PipelineParams {
         let features = self.slam.odometry.keyframe.features;
         let keyframe = KeyframeParams { features, ..other.slam.odometry.keyframe.clone() };
         let odometry = OdometryParams { keyframe, ..self.slam.odometry.clone() };
-        let slam = SlamParams { odometry, ..self.slam.clone() };
+        let slam = SlamParams { odometry, localisation_only: other.slam.localisation_only, ..self.slam.clone() };
         Self { slam, map: self.map, preset: self.preset, ..other.clone() }
     }
 }
@@ -70,6 +78,7 @@ mod tests {
         let mut pipeline = Pipeline::new(PipelineParams::default()).unwrap();
         let (params, is_taken) = changed(|p| {
             p.slam.odometry.keyframe.distance_m = 0.7;
+            p.slam.localisation_only = true;
             p.detection.enabled = false;
             p.tracker.confirm_observations = 7;
             p.relations.max_distance_m = 3.0;

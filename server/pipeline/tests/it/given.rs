@@ -106,6 +106,55 @@ fn a_start_that_does_not_fit_what_is_seen_is_not_believed_and_the_robot_is_found
 }
 
 #[test]
+fn a_robot_that_only_localises_adds_nothing_to_the_map_until_it_may() {
+    let simulation = rooms(SensorSuite::only_lidar2d(), 40.0);
+    let frames: Vec<SensorFrame> = simulation.frames().map(|f| f.frame).collect();
+    let mut params = PipelineParams::default();
+    params.slam.localisation_only = true;
+    let mut pipeline = empty(&simulation, params.clone());
+    // Without a map it is nowhere, and a map may still come.
+    let (first, rest) = frames.split_at(20);
+    for frame in first {
+        let pose = pipeline.process(frame).unwrap().pose.unwrap();
+        assert_eq!(pose.state, TrackingState::Lost { reason: LostReason::Adrift });
+    }
+    assert!(pipeline.snapshot().keyframes.is_empty());
+    pipeline.take_given(plan(&simulation), None).unwrap();
+    let (layers, keyframes) = (pipeline.snapshot().layers, pipeline.snapshot().keyframes.len());
+    let (localising, mapping) = rest.split_at(rest.len() * 2 / 3);
+    let mut num_found = 0;
+    for frame in localising {
+        let pose = pipeline.process(frame).unwrap().pose.unwrap();
+        let truth = simulation.pose_at(pose.stamp).translation.vector;
+        let error = (truth - pose.t_map_base.translation.vector).xy().norm();
+        assert!(!pose.state.is_tracking() || error < 0.1, "{error} m off at {}", pose.stamp);
+        num_found += usize::from(pose.state.is_tracking());
+    }
+    assert!(num_found + 60 > localising.len(), "{num_found} of {}", localising.len());
+    let snapshot = pipeline.snapshot();
+    assert_eq!(snapshot.keyframes.len(), keyframes);
+    assert_eq!(snapshot.layers.occupancy, layers.occupancy);
+    // Where it was is known all the same.
+    assert_eq!(snapshot.trajectory().filter(|(_, e)| e.tracked).count(), num_found);
+    for (t_map_base, entry) in snapshot.trajectory().filter(|(_, e)| e.tracked) {
+        let truth = simulation.pose_at(entry.stamp).translation.vector;
+        assert!((truth - t_map_base.translation.vector).xy().norm() < 0.1, "{}", entry.stamp);
+    }
+
+    params.slam.localisation_only = false;
+    pipeline.set_params(params.clone()).unwrap();
+    feed(&mut pipeline, mapping.iter().cloned());
+    let mapped = pipeline.snapshot().keyframes.len();
+    assert!(mapped > keyframes, "{mapped}");
+    assert!(off(&pipeline, &simulation) < 0.05, "{}", off(&pipeline, &simulation));
+    // And back: in a map of its own.
+    params.slam.localisation_only = true;
+    pipeline.set_params(params).unwrap();
+    feed(&mut pipeline, frames.iter().map(|f| SensorFrame { stamp: f.stamp.plus_seconds(50.0), ..f.clone() }));
+    assert_eq!(pipeline.snapshot().keyframes.len(), mapped);
+}
+
+#[test]
 fn a_depth_camera_cannot_be_found_in_a_plan_but_starts_where_it_is_told_to_be() {
     let simulation = rooms(SensorSuite::only_depth_camera(), 2.0);
     let mut pipeline = empty(&simulation, PipelineParams::default());

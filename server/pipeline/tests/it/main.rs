@@ -17,4 +17,5 @@ mod restore;
 mod second;
 mod second_look;
 mod sparse;
+mod twins;
 mod unanchored;

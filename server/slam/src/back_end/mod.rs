@@ -16,7 +16,7 @@ mod types;
 mod tests;
 
 use crate::covariance::diagonal;
-use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::loops::{Evidence, KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::motion_noise::OVER_GAP;
 use crate::odometry::OdometryNoise;
 use chain::{Chain, View, step_covariance};
@@ -206,6 +206,11 @@ impl BackEnd {
     /// oldest first, with base then seen from base now.
     pub fn relocalise(&mut self, before: &[(Pose, Arc<KeyframeScan>)], scan: &KeyframeScan) -> Option<Relocalisation> {
         self.recognition.relocalise_driven(before, scan, &self.by_id)
+    }
+
+    /// What a scan says of the place where it is believed to have been taken, base to map.
+    pub fn check(&mut self, scan: &KeyframeScan, t_map_base: &Pose) -> Evidence {
+        self.recognition.check(scan, t_map_base, &self.by_id)
     }
 
     /// Covariance of a keyframe's pose as the way to it from the first one has it; loops make it smaller than that.

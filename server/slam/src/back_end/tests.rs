@@ -32,6 +32,10 @@ impl PlaceRecognition for Script {
         None
     }
 
+    fn check(&mut self, _: &KeyframeScan, _: &Pose, _: &KeyframePoses) -> Evidence {
+        Evidence::Nothing
+    }
+
     fn forget(&mut self, _: KeyframeId) {}
 }
 
@@ -254,6 +258,10 @@ impl PlaceRecognition for Rounds {
 
     fn relocalise(&self, _: &KeyframeScan, _: &KeyframePoses) -> Option<Relocalisation> {
         None
+    }
+
+    fn check(&mut self, _: &KeyframeScan, _: &Pose, _: &KeyframePoses) -> Evidence {
+        Evidence::Nothing
     }
 
     fn forget(&mut self, id: KeyframeId) {

@@ -7,7 +7,7 @@
 
 use super::spatial::Seen;
 use super::visual::VisualPlaces;
-use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use super::{Evidence, KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::sync::Arc;
 
@@ -69,6 +69,13 @@ impl PlaceRecognition for DepthPlaces {
         match scan.features {
             Some(_) => self.by_looks.relocalise_driven(before, scan, poses),
             None => self.by_shape.relocalise_driven(before, scan, poses),
+        }
+    }
+
+    fn check(&mut self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence {
+        match scan.features {
+            Some(_) => self.by_looks.check(scan, t_map_base, poses),
+            None => self.by_shape.check(scan, t_map_base, poses),
         }
     }
 

@@ -46,6 +46,17 @@ pub struct Relocalisation {
     pub inlier_ratio: f64,
 }
 
+/// What a view says of where the robot is believed to have been when it was taken.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Evidence {
+    /// It fits what the map has there, and was measured to be here.
+    Agrees(Relocalisation),
+    /// It looks through what the map has there, or shows what the map has looked through.
+    Contradicts,
+    /// Neither: the map has not seen much of that, or it fits in more than one way.
+    Nothing,
+}
+
 /// What a kind of sensor brings to find places again. Deterministic. `insert` takes a time that hardly grows with the number
 /// of keyframes: what takes long goes on with the next ones.
 pub trait PlaceRecognition: Send {
@@ -93,6 +104,10 @@ pub trait PlaceRecognition: Send {
     fn relocalises_in_steps(&self) -> bool {
         false
     }
+
+    /// What a scan says of the place where it is believed to have been taken, base to map: within the decimetres and the degrees
+    /// that odometry drifts by in some tens of metres.
+    fn check(&mut self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence;
 
     /// A keyframe has left the graph.
     fn forget(&mut self, id: KeyframeId);

@@ -63,7 +63,10 @@ impl Robot {
     fn anchored_at(&self) -> Option<f64> {
         let last = match self.tracking {
             Tracking::Initialising | Tracking::WaitingForScale => return None,
-            Tracking::Anchored { last } | Tracking::DeadReckoning { last, .. } | Tracking::Lost { last } => last,
+            Tracking::Anchored { last }
+            | Tracking::DeadReckoning { last, .. }
+            | Tracking::Lost { last }
+            | Tracking::Tentative { last } => last,
             Tracking::Unanchored(unanchored) => unanchored.last,
         };
         Some(last.t_odom_base.translation.x)
@@ -124,7 +127,7 @@ fn a_guess_without_wheels_anchors_nothing_until_the_robot_is_found() {
     assert_eq!(robot.is_carried(DARK), DARK);
     assert!(robot.tracking.unanchored().is_some());
     let estimate = robot.estimate(MEASURED, Scale::Measured);
-    robot.tracking.found(&estimate);
+    robot.tracking.found(&estimate, true);
     assert_eq!((robot.tracking.is_anchored(), robot.anchored_at()), (true, Some(7.0)));
 }
 

@@ -1,9 +1,9 @@
 //! Keyframes where they are believed to be, and a view measured among them.
 
-use super::measure::{Measurement, Refused, Visits};
+use super::measure::{FAR, Measurement, Refused, Visits};
 use super::{Kept, NEAR_M, length, visit};
-use crate::loops::KeyframePoses;
 use crate::loops::lost::Strictness;
+use crate::loops::{Evidence, KeyframePoses, Relocalisation};
 use crate::odometry::lidar2d::planar;
 use nalgebra::Isometry2;
 use percept_geometry::{KeyframeId, KeyframeScan};
@@ -60,12 +60,43 @@ impl<'a> KnownMap<'a> {
         t_map_base: &Isometry2<f64>,
         strictness: &Strictness,
     ) -> Option<(KeyframeId, Result<Measurement, Refused>)> {
+        let (keyframe, guess) = self.nearest(t_map_base)?;
+        let visit = visit(self.kept, keyframe, KeyframeId(u64::MAX), &self.known);
+        Some((keyframe, visits.measure(&visit, scan, &guess, WINDOW, strictness)))
+    }
+
+    /// What a view says of the place where it is believed to have been taken.
+    pub(super) fn check(&self, visits: &mut Visits, scan: &KeyframeScan, t_map_base: &Isometry2<f64>) -> Evidence {
+        let Some((keyframe, measured)) = self.measure(visits, scan, t_map_base, &FAR) else { return Evidence::Nothing };
+        match measured {
+            Ok(m) => Evidence::Agrees(Relocalisation {
+                keyframe,
+                t_keyframe_base: m.t_from_to,
+                covariance: m.covariance,
+                inlier_ratio: m.inlier_ratio,
+            }),
+            Err(Refused::Contradicted(_)) => Evidence::Contradicts,
+            Err(Refused::NotRefined(_) | Refused::AtBorder) if self.contradicts(visits, scan, t_map_base) => {
+                Evidence::Contradicts
+            }
+            Err(_) => Evidence::Nothing,
+        }
+    }
+
+    /// Whether a view that does not fit where it is believed to have been taken contradicts what is known there, rather than that
+    /// most of it lies where nobody has been.
+    pub(super) fn contradicts(&self, visits: &mut Visits, scan: &KeyframeScan, t_map_base: &Isometry2<f64>) -> bool {
+        let Some((keyframe, guess)) = self.nearest(t_map_base) else { return false };
+        let visit = visit(self.kept, keyframe, KeyframeId(u64::MAX), &self.known);
+        visits.contradicted(&visit, scan, &guess) > FAR.max_contradicted
+    }
+
+    /// The nearest keyframe, if one is around, and the place seen from there.
+    fn nearest(&self, t_map_base: &Isometry2<f64>) -> Option<(KeyframeId, Isometry2<f64>)> {
         let cost = |t: &Isometry2<f64>| length(&(t.inverse() * t_map_base));
         let there = self.known.iter().filter(|(id, _)| self.kept.contains_key(id));
         let nearest = there.min_by(|a, b| cost(a.1).total_cmp(&cost(b.1)));
         let (&keyframe, t) = nearest.filter(|p| cost(p.1) < 2.0 * NEAR_M)?;
-        let visit = visit(self.kept, keyframe, KeyframeId(u64::MAX), &self.known);
-        let guess = t.inverse() * t_map_base;
-        Some((keyframe, visits.measure(&visit, scan, &guess, WINDOW, strictness)))
+        Some((keyframe, t.inverse() * t_map_base))
     }
 }

@@ -102,8 +102,7 @@ impl Visits {
         let prediction = Prediction::within(spatial(&start), diagonal(1.0, 0.5));
         let found =
             refine(field, &scan_hits, &start, &prediction, strictness.min_inlier_ratio).map_err(Refused::NotRefined)?;
-        let views: Vec<View<'_>> =
-            visit.iter().zip(&seen).map(|((t, s), hits)| View { t_map_base: *t, hits, sight: sight(s) }).collect();
+        let views = views(visit, &seen);
         let contradicted = contradicted(field, &views, (&sight(scan), &scan_hits), &planar(&found.t_odom_base));
         if contradicted > strictness.max_contradicted {
             return Err(Refused::Contradicted(contradicted));
@@ -115,6 +114,20 @@ impl Visits {
         }
         Ok(Measurement { t_from_to: found.t_odom_base, covariance, inlier_ratio: found.inlier_ratio })
     }
+
+    /// Share of what both a visit and `scan` saw in which they contradict each other, if the scan was taken just there.
+    pub(crate) fn contradicted(&mut self, visit: &Visit, scan: &KeyframeScan, t: &Isometry2<f64>) -> f64 {
+        let half = self.max_range_m.max(HALF_M);
+        let field = self.field.get_or_insert_with(|| Field::new(CELL_M, half, Point2::origin()));
+        field.reset(Point2::from(t.translation.vector));
+        let seen: Vec<Vec<Hit>> = visit.iter().map(|(_, s)| hits(s, self.max_range_m)).collect();
+        visit.iter().zip(&seen).for_each(|((t, _), hits)| field.add(hits, t));
+        contradicted(field, &views(visit, &seen), (&sight(scan), &hits(scan, self.max_range_m)), t)
+    }
+}
+
+fn views<'a>(visit: &Visit, seen: &'a [Vec<Hit>]) -> Vec<View<'a>> {
+    visit.iter().zip(seen).map(|((t, s), hits)| View { t_map_base: *t, hits, sight: sight(s) }).collect()
 }
 
 fn start(field: &Field, hits: &[Hit], guess: &Isometry2<f64>, window: (f64, f64)) -> Isometry2<f64> {

@@ -23,11 +23,12 @@ mod relocaliser;
 mod tests;
 
 use crate::loops::lost::{Strictness, spread_out};
-use crate::loops::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use crate::loops::{Evidence, KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::matching::branch_and_bound::Region;
 use crate::odometry::lidar2d::planar;
 use crate::odometry::{OdometryKind, OdometryNoise, way_m};
 use global_search::{Extent, GlobalSearch, Progress, View};
+use known_map::KnownMap;
 use links::Links;
 use measure::{Measurement, NEAR, Visits};
 use nalgebra::{Isometry2, Point2};
@@ -342,6 +343,10 @@ impl PlaceRecognition for PlanarPlaces {
 
     fn is_unfinished(&self) -> bool {
         self.relocaliser.is_unfinished()
+    }
+
+    fn check(&mut self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence {
+        KnownMap::of(&self.kept, poses).check(&mut self.visits, scan, &planar(t_map_base))
     }
 
     fn relocalises_in_steps(&self) -> bool {

@@ -270,12 +270,14 @@ impl Verifying {
             return self.decided(agrees.then_some(t_map_anchor));
         };
         self.views += 1;
-        match map.measure(visits, scan, &(t_map_anchor * t), &FAR) {
+        let t_map_then = t_map_anchor * t;
+        match map.measure(visits, scan, &t_map_then, &FAR) {
             Some((_, Ok(_))) => self.agree += 1,
             Some((_, Err(Refused::Contradicted(_)))) => return self.decided(None),
-            // A view that leaves something open says nothing.
+            // A view that leaves something open says nothing, and neither does one that shows what nobody has seen.
             Some((_, Err(Refused::Open(..)))) | None => {}
-            Some((_, Err(_))) => self.against += 1,
+            Some((_, Err(_))) if map.contradicts(visits, scan, &t_map_then) => self.against += 1,
+            Some((_, Err(_))) => {}
         }
         Progress::Unfinished
     }

@@ -28,7 +28,7 @@ mod walls;
 #[cfg(test)]
 mod tests;
 
-use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use super::{Evidence, KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::covariance::diagonal;
 use crate::odometry::{Growth, OdometryKind, OdometryNoise};
 use percept_geometry::{Covariance6, KeptScan, KeyframeId, KeyframeScan, Pose, se3};
@@ -347,6 +347,10 @@ impl PlaceRecognition for SpatialRecognition {
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
         self.seen.relocalise_driven(before, scan, poses)
+    }
+
+    fn check(&mut self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence {
+        self.seen.check(scan, t_map_base, poses)
     }
 
     fn forget(&mut self, id: KeyframeId) {

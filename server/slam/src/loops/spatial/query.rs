@@ -9,8 +9,8 @@ use super::kept::Kept;
 use super::submap::{range, voxel_for};
 use super::target::{Refused, Target};
 use super::walls;
-use crate::loops::Relocalisation;
 use crate::loops::lost::{Around, CELL_M, MIN_SCORE, Strictness, WITNESSES, spread_out, way_m};
+use crate::loops::{Evidence, Relocalisation};
 use crate::matching::branch_and_bound::{Fit, Pyramid, RIVAL, Region};
 use nalgebra::{Isometry2, Point2, Translation3, UnitQuaternion, Vector2, Vector3};
 use percept_geometry::{KeyframeId, KeyframeScan, Pose, se3};
@@ -178,6 +178,29 @@ impl<'a> Query<'a> {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), fit.t.rotation.angle());
         let leveling = self.r_level_base.unwrap_or_else(|| walls::leveling(nearest));
         Some(Pose::from_parts(Translation3::new(at.x, at.y, nearest.translation.z), turn * leveling))
+    }
+}
+
+/// What a scan says of where it is believed to have been taken, base to map.
+pub(super) fn check(
+    scan: &KeyframeScan,
+    t_map_base: &Pose,
+    kept: &BTreeMap<KeyframeId, Kept>,
+    poses: &BTreeMap<KeyframeId, Pose>,
+) -> Evidence {
+    let around = Target::new(kept, poses, &[*t_map_base]);
+    match around.measure(scan, t_map_base, &WITNESS) {
+        Ok(found) => around.seen_from(&found.t_odom_base).map_or(Evidence::Nothing, |(keyframe, t_keyframe_base)| {
+            Evidence::Agrees(Relocalisation {
+                keyframe,
+                t_keyframe_base,
+                covariance: found.covariance,
+                inlier_ratio: found.inlier_ratio,
+            })
+        }),
+        Err(Refused::Contradicted) => Evidence::Contradicts,
+        Err(Refused::Misfit) if around.contradicts(scan, t_map_base, &WITNESS) => Evidence::Contradicts,
+        Err(Refused::Open | Refused::Misfit) => Evidence::Nothing,
     }
 }
 

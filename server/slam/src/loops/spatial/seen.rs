@@ -1,9 +1,9 @@
 //! Keyframes among which a lost robot is looked for.
 
 use super::kept::Kept;
-use super::query::Query;
+use super::query::{self, Query};
 use super::walls;
-use crate::loops::{KeyframePoses, Relocalisation};
+use crate::loops::{Evidence, KeyframePoses, Relocalisation};
 use nalgebra::{Point2, Vector3};
 use percept_geometry::{KeptScan, KeyframeId, KeyframeScan, Pose};
 use std::collections::BTreeMap;
@@ -52,6 +52,11 @@ impl Seen {
         let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
         let query = Query::new(&before, scan, None);
         query.find(&self.kept, &self.known(poses), (0.0, PI), &query.wanted()?)
+    }
+
+    /// What a scan says of where it is believed to have been taken ([`crate::loops::PlaceRecognition::check`]).
+    pub(in crate::loops) fn check(&self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence {
+        query::check(scan, t_map_base, &self.kept, &self.known(poses))
     }
 
     /// Where the keyframes are believed to be, base to map.

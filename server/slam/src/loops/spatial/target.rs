@@ -122,6 +122,11 @@ impl Target {
         }
     }
 
+    /// Whether a scan that does not fit contradicts what is known here, rather than that most of it lies where nobody has been.
+    pub(super) fn contradicts(&self, scan: &KeyframeScan, t_map_base: &Pose, strictness: &Strictness) -> bool {
+        self.contradicted(scan, t_map_base).share() > strictness.max_contradicted
+    }
+
     /// The keyframe nearest to a pose, and base seen from it.
     pub(super) fn seen_from(&self, t_map_base: &Pose) -> Option<(KeyframeId, Pose)> {
         let from = |(id, (t, _)): (&KeyframeId, &(Pose, Sight))| (*id, t.inv_mul(t_map_base));

@@ -14,7 +14,7 @@ mod index;
 mod relocalise;
 mod rigid;
 
-use super::{KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
+use super::{Evidence, KeyframePoses, LoopClosure, PlaceRecognition, Relocalisation};
 use crate::keyframe::FULL_WIDTH;
 use crate::odometry::rgbd::place::{Placed, place};
 use alike::Alike;
@@ -138,6 +138,10 @@ impl PlaceRecognition for VisualPlaces {
     ) -> Option<Relocalisation> {
         // Without surfaces nothing but features could agree, and those are asked for more.
         if self.is_sparse { self.relocalise(scan, poses) } else { self.find_driven(before, scan, poses) }
+    }
+
+    fn check(&mut self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence {
+        if self.is_sparse { Evidence::Nothing } else { self.check_surfaces(scan, t_map_base, poses) }
     }
 
     fn forget(&mut self, id: KeyframeId) {

@@ -10,7 +10,7 @@
 
 use super::{MAX_IN_FRONT, MAX_SEEN_THROUGH, MIN_INLIERS, Verified, VisualPlaces};
 use crate::covariance::diagonal;
-use crate::loops::{KeyframePoses, Relocalisation};
+use crate::loops::{Evidence, KeyframePoses, Relocalisation};
 use crate::odometry::rgbd::place::place;
 use crate::odometry::rgbd::window::NEAR;
 use crate::odometry::{OdometryKind, OdometryNoise, way_m};
@@ -31,6 +31,10 @@ const MIN_AGREE: usize = 2;
 const MAX_NEAR: usize = 3;
 /// What a view from the way may be off by, metres and radians. Halved and doubled as it is ([`self`]).
 const WINDOW: (f64, f64) = (0.2, 0.1);
+
+/// A view that is checked is expected where odometry has it after so many metres since the one before that agreed: keyframes are half a
+/// metre apart, and some of them say nothing.
+const CHECKED_AFTER_M: f64 = 2.0;
 
 /// One view is enough if so many features agree on its place, in so many directions, as no single thing on a wall has, and
 /// hardly any surface contradicts. Views of a real room from 0.3 m and 20 degrees aside have 26 to 55 such features in 9 to 12
@@ -137,34 +141,62 @@ impl VisualPlaces {
 
     /// What a view says that was taken at `t_now_then`, if base is at `t_map_base`.
     fn ask(&self, then: &KeyframeScan, (t_map_base, t_now_then): (&Pose, &Pose), poses: &KeyframePoses) -> Word {
-        let others = self.around(&(t_map_base * t_now_then), poses);
-        let others: Vec<(Pose, &KeyframeScan)> = others.iter().map(|(t, s)| (*t, s.as_ref())).collect();
-        if others.is_empty() {
-            return Word::Nothing;
-        }
         let way_m = way_m(t_now_then.translation.vector.norm(), t_now_then.rotation.angle());
+        self.place_near(then, &(t_map_base * t_now_then), way_m, poses).0
+    }
+
+    /// What a view says of where it is believed to have been taken ([`crate::loops::PlaceRecognition::check`]).
+    pub(super) fn check_surfaces(&self, scan: &KeyframeScan, t_map_base: &Pose, poses: &KeyframePoses) -> Evidence {
+        match self.place_near(scan, t_map_base, CHECKED_AFTER_M, poses) {
+            (Word::Agrees, Some(found)) => Evidence::Agrees(found),
+            (Word::Contradicts, _) => Evidence::Contradicts,
+            // Few surfaces of two views with a narrow field lie over each other.
+            (Word::Agrees | Word::Against | Word::Nothing, _) => Evidence::Nothing,
+        }
+    }
+
+    /// What a view says that is expected at a place after so many metres of odometry; and where it is, if it agrees.
+    fn place_near(
+        &self,
+        scan: &KeyframeScan,
+        t_map_base: &Pose,
+        way_m: f64,
+        poses: &KeyframePoses,
+    ) -> (Word, Option<Relocalisation>) {
+        let around = self.around(t_map_base, poses);
+        let others: Vec<(Pose, &KeyframeScan)> = around.iter().map(|(_, t, s)| (*t, s.as_ref())).collect();
+        let Some((keyframe, t_base_keyframe, _)) = around.first() else { return (Word::Nothing, None) };
         let (sigma_m, sigma_rad) = OdometryNoise::of(OdometryKind::Rgbd).after(way_m);
         let uncertain = diagonal(sigma_m, sigma_rad);
-        let Some(placed) = place(&others, then, &Pose::identity(), &uncertain) else { return Word::Against };
+        let Some(placed) = place(&others, scan, &Pose::identity(), &uncertain) else { return (Word::Against, None) };
         if placed.seen_through > MAX_SEEN_THROUGH || placed.in_front > MAX_IN_FRONT {
-            return Word::Contradicts;
+            return (Word::Contradicts, None);
         }
         let stays = share(&placed.t_place_base, WINDOW) < 1.0;
-        if stays && placed.inlier_ratio >= MIN_INLIERS { Word::Agrees } else { Word::Against }
+        if !stays || placed.inlier_ratio < MIN_INLIERS {
+            return (Word::Against, None);
+        }
+        let found = Relocalisation {
+            keyframe: *keyframe,
+            t_keyframe_base: t_base_keyframe.inv_mul(&placed.t_place_base),
+            covariance: placed.covariance,
+            inlier_ratio: placed.inlier_ratio,
+        };
+        (Word::Agrees, Some(found))
     }
 
     /// Keyframes that look from near a place, with their base seen from there, nearest first.
-    fn around(&self, t_map_base: &Pose, poses: &KeyframePoses) -> Vec<(Pose, Arc<KeyframeScan>)> {
-        let mut near: Vec<(f64, Pose, &KeptScan)> = self
+    fn around(&self, t_map_base: &Pose, poses: &KeyframePoses) -> Vec<(KeyframeId, Pose, Arc<KeyframeScan>)> {
+        let mut near: Vec<(f64, KeyframeId, Pose, &KeptScan)> = self
             .known
             .iter()
             .filter_map(|(id, known)| {
                 let t_base_other = t_map_base.inv_mul(poses.get(id)?);
                 let far = share(&t_base_other, NEAR);
-                (far < 1.0).then_some((far, t_base_other, &known.scan))
+                (far < 1.0).then_some((far, *id, t_base_other, &known.scan))
             })
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        near.into_iter().take(MAX_NEAR).filter_map(|(_, t, scan)| Some((t, scan.get()?))).collect()
+        near.into_iter().take(MAX_NEAR).filter_map(|(_, id, t, scan)| Some((id, t, scan.get()?))).collect()
     }
 }

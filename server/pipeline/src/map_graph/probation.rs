@@ -1,0 +1,219 @@
+//! A robot that was found has to be right elsewhere, too, before what it sees enters the map.
+//!
+//! Rooms resemble each other, and one that nobody has mapped may be just like one that was: nothing that is seen in there tells
+//! which it is, however long the robot looks. So its pose is told from when it was found, and what it sees is gathered beside the
+//! map as before. Views from its way are compared with the map as it was, and say where in it the robot is. When enough of them
+//! agree that see other surroundings than those it was found by, what was gathered joins the map; when they contradict the map,
+//! the robot is lost again, and has drawn nothing.
+
+use super::relocaliser::UnanchoredView;
+use super::worker::Checked;
+use super::{MapGraph, MapUpdate};
+use crate::frontend::FoundAt;
+use nalgebra::Point3;
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use percept_slam::{Evidence, OdometryKind, Relocalisation};
+use std::collections::{BTreeSet, VecDeque};
+
+/// How far it is from where the robot was found to other surroundings: so many times as far as it usually saw there, within these
+/// bounds, metres.
+const ELSEWHERE: f64 = 1.5;
+const ELSEWHERE_M: (f64, f64) = (2.0, 10.0);
+/// A sensor that does not see all around sees other surroundings where it has turned so far, radians: more than half of what it sees.
+const TURNED: f64 = 1.0;
+/// Views from elsewhere that have to agree.
+const AGREE: usize = 4;
+/// Where views say nothing, since the robot has left what is mapped: the way after which it is believed all the same, times the way to
+/// other surroundings.
+const UNSEEN: f64 = 4.0;
+/// The newest views that say something, and how many of them have to contradict the map for the robot to be lost again.
+const NEWEST: usize = 8;
+const CONTRADICT: usize = 3;
+
+/// What has come of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    /// It goes on.
+    Open,
+    /// The robot is where it was found to be.
+    Confirmed,
+    /// It is not.
+    Withdrawn,
+}
+
+/// What has come of it that a robot was found.
+pub(crate) enum Probed {
+    /// It is where it was found last, as far as is known.
+    Open(FoundAt),
+    /// It is there, and what it has seen is in the map.
+    Confirmed(FoundAt),
+    /// It is not there: what it sees contradicts the map.
+    Withdrawn,
+}
+
+/// A robot that was found, until that is certain.
+#[derive(Debug)]
+pub(super) struct Probation {
+    /// Where the newest view that agreed has found it.
+    found: Relocalisation,
+    at: FoundAt,
+    /// Base to odom where it was found first, the way up to there, and how far other surroundings are from there, metres.
+    begun_at: Pose,
+    begun_after_m: f64,
+    elsewhere_m: f64,
+    sees_around: bool,
+    /// Whether the newest views that said something agreed.
+    newest: VecDeque<bool>,
+    /// Views from elsewhere that agreed.
+    agreed: usize,
+    /// Whether a view is being compared.
+    pub(super) is_asked: bool,
+}
+
+impl Probation {
+    /// Begins where a robot was found by what it saw there, after so long a way since it was lost, metres.
+    pub(super) fn new(found: Relocalisation, at: FoundAt, seen: &KeyframeScan, way_m: f64) -> Self {
+        Self {
+            found,
+            at,
+            begun_at: at.t_odom_base,
+            elsewhere_m: (ELSEWHERE * usual_range_m(seen)).clamp(ELSEWHERE_M.0, ELSEWHERE_M.1),
+            begun_after_m: way_m,
+            sees_around: sees_around(seen),
+            newest: VecDeque::new(),
+            agreed: 0,
+            is_asked: false,
+        }
+    }
+
+    /// The keyframe by which a view was found that agreed, the newest such.
+    pub(super) fn found_by(&self) -> KeyframeId {
+        self.found.keyframe
+    }
+
+    /// A view agrees that was taken there.
+    fn agree(&mut self, found: Relocalisation, at: FoundAt) {
+        let off = self.begun_at.inv_mul(&at.t_odom_base);
+        let has_turned = !self.sees_around && off.rotation.angle() > TURNED;
+        if off.translation.vector.norm() > self.elsewhere_m || has_turned {
+            self.agreed += 1;
+        }
+        (self.found, self.at) = (found, at);
+        self.say(true);
+    }
+
+    /// A view contradicts the map.
+    fn contradict(&mut self) {
+        self.say(false);
+    }
+
+    fn say(&mut self, agrees: bool) {
+        self.newest.push_back(agrees);
+        if self.newest.len() > NEWEST {
+            self.newest.pop_front();
+        }
+    }
+
+    /// What has come of it, after so long a way since the robot was lost, metres.
+    fn verdict(&self, way_m: f64) -> Verdict {
+        let contradict = self.newest.iter().filter(|agrees| !**agrees).count();
+        if contradict >= CONTRADICT {
+            return Verdict::Withdrawn;
+        }
+        let is_sure = self.agreed >= AGREE || way_m - self.begun_after_m >= UNSEEN * self.elsewhere_m;
+        if is_sure && contradict == 0 { Verdict::Confirmed } else { Verdict::Open }
+    }
+}
+
+impl MapGraph {
+    /// A robot that is in the map is to be there only as long as what it sees agrees, and adds nothing to the map until that is certain;
+    /// whether it can be. `in_map` is the covariance of its pose.
+    pub(crate) fn doubt(&mut self, view: &UnanchoredView<'_>, in_map: &Covariance6) -> bool {
+        let t_odom_base = view.estimate.t_odom_base;
+        let Some((keyframe, t_keyframe_base)) = self.nearest_keyframe(&(self.t_map_odom * t_odom_base)) else {
+            return false;
+        };
+        if !self.constraints.is_active() || view.kind == OdometryKind::Mono {
+            return false;
+        }
+        let inlier_ratio = view.estimate.inlier_ratio;
+        let found = Relocalisation { keyframe, t_keyframe_base, covariance: *in_map, inlier_ratio };
+        let at = FoundAt { t_odom_base, of_odometry: view.estimate.covariance, in_map: *in_map };
+        self.relocaliser.begin_anew();
+        self.atlas.begin_anew();
+        self.relocaliser.probation = Some(Probation::new(found, at, &(view.kept)(), 0.0));
+        self.gather(view);
+        true
+    }
+
+    /// The keyframe nearest to a pose in the map, and base seen from there.
+    fn nearest_keyframe(&self, t_map_base: &Pose) -> Option<(KeyframeId, Pose)> {
+        let living = self.keyframes.iter().filter(|k| k.merged.is_none());
+        let from = living.map(|k| (k.id, k.t_map_base.inv_mul(t_map_base)));
+        from.min_by(|a, b| a.1.translation.vector.norm().total_cmp(&b.1.translation.vector.norm()))
+    }
+
+    /// What a view of a robot says that was found and is not certain to be there.
+    pub(crate) fn probe(&mut self, view: &UnanchoredView<'_>, update: &mut MapUpdate) -> Probed {
+        let Some(probation) = &self.relocaliser.probation else { return Probed::Withdrawn };
+        let at = probation.at;
+        if !view.estimate.state.is_tracking() {
+            return Probed::Open(at);
+        }
+        match probation.verdict(self.relocaliser.way_m) {
+            Verdict::Confirmed if !self.params.localisation_only => {
+                let found = probation.found.clone();
+                if self.join(&found, &at.t_odom_base, view.pose_sensor, update) {
+                    return Probed::Confirmed(at);
+                }
+            }
+            Verdict::Open | Verdict::Confirmed => {
+                self.gather(view);
+                return Probed::Open(at);
+            }
+            Verdict::Withdrawn => {}
+        }
+        let t_map_odom = self.t_map_odom;
+        self.relocaliser.withdraw(&t_map_odom);
+        Probed::Withdrawn
+    }
+
+    /// What a view said of where the robot was believed to be.
+    pub(super) fn hear_checked(&mut self, checked: Checked) {
+        let Checked { evidence, drift, t_odom_base, covariance, part } = checked;
+        // What was asked before it was lost again says nothing about where it is now.
+        if part != self.relocaliser.part.number {
+            return;
+        }
+        let Some(probation) = &mut self.relocaliser.probation else { return };
+        probation.is_asked = false;
+        match evidence {
+            Evidence::Agrees(found) => {
+                let in_map = se3::compose_covariance(&drift, &found.t_keyframe_base, &found.covariance);
+                let at = FoundAt { t_odom_base, of_odometry: covariance, in_map };
+                if let Some(at) = self.place_found(&found, at)
+                    && let Some(probation) = &mut self.relocaliser.probation
+                {
+                    probation.agree(found, at);
+                }
+            }
+            Evidence::Contradicts => probation.contradict(),
+            Evidence::Nothing => {}
+        }
+    }
+}
+
+/// Half of what a scan has met lies nearer than this to its sensor, metres.
+fn usual_range_m(scan: &KeyframeScan) -> f64 {
+    let sensor = scan.t_base_sensor.translation.vector.cast::<f32>();
+    let mut ranges: Vec<f32> = scan.hits.positions.iter().map(|p| (p.coords - sensor).norm()).collect();
+    let half = ranges.len() / 2;
+    if ranges.is_empty() { 0.0 } else { f64::from(*ranges.select_nth_unstable_by(half, f32::total_cmp).1) }
+}
+
+/// Whether a scan has met something in more than half of the directions around base.
+fn sees_around(scan: &KeyframeScan) -> bool {
+    let sector = |p: &Point3<f32>| ((p.y.atan2(p.x).to_degrees() + 180.0) / 10.0) as usize;
+    let sectors: BTreeSet<usize> = scan.hits.positions.iter().map(sector).collect();
+    sectors.len() > 18
+}
