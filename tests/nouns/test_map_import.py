@@ -103,6 +103,28 @@ def test_a_robot_starts_where_it_is_told_to_be(client):
     assert world.position_error_m(session.pose().t_map_base, poses[-1].matrix) < 0.05
 
 
+def test_a_robot_that_only_localises_leaves_the_map_as_it_is_until_it_may_map(client):
+    params = {"map": {"occupancy": {"resolution_m": RESOLUTION_M}}, "slam": {"localisation_only": True}}
+    session = client.sessions.create(sensors=[world.LASER], params=params)
+    poses = world.drive(40)
+    drive_through(session, poses[:3], send_scan)
+    assert session.pose().state is TrackingState.LOST, "without a map it is nowhere"
+    # What the plan has there and is not stays, too.
+    plan = floor_plan()
+    plan.cells[24:28, 24:28] = 100
+    session.map.import_map(plan)
+    before = session.map.occupancy()
+    drive_through(session, poses[3:], send_scan, first=3)
+    pose = session.pose()
+    assert pose.state is TrackingState.TRACKING
+    assert world.position_error_m(pose.t_map_base, poses[-1].matrix) < 0.08
+    assert np.array_equal(session.map.occupancy().cells, before.cells)
+    session.update(params={"slam": {"localisation_only": False}})
+    drive_through(session, poses, send_scan, first=len(poses))
+    assert session.pose().state is TrackingState.TRACKING
+    assert session.info().params["slam"]["localisation_only"] is False
+
+
 @pytest.mark.parametrize("height_m", [world.LASER_HEIGHT_M, 0.0])
 def test_what_a_plan_shows_and_is_not_there_leaves_the_map_while_the_robot_stands(client, height_m):
     """At base's own height, too: a laser whose mount nobody has declared."""

@@ -14,6 +14,7 @@ export interface PoseEstimate {
   map_version: string;
   scale: string;
   relocalised: boolean;
+  tentative: boolean;
   lost_message: string;
   scale_message: string;
   waiting_message: string;

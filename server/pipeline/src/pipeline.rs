@@ -120,28 +120,31 @@ impl Pipeline {
             }
         }
         let is_mapped = |t_odom_base: &Pose| self.map_graph.is_mapped(sensor, t_odom_base);
-        let Registered { mut estimate, kind, led_by, is_doubtful, moved } = self.frontend.register(view, is_mapped);
+        let Registered { mut estimate, kind, led_by, is_doubtful, moved_along, moved } =
+            self.frontend.register(view, is_mapped);
+        if moved_along {
+            self.map_graph.forget_gathered();
+        }
         self.map_graph.prepare(kind);
         self.map_graph.move_without_scale(&moved);
         let mut update = MapUpdate::default();
         if !estimate.scale.is_metric() {
             self.map_graph.wait_for_scale(|| self.frontend.up(stamp), &estimate.t_odom_base);
         } else {
-            let is_doubtful = is_doubtful || (self.params.slam.localisation_only && estimate.state.is_tracking());
             estimate = self.relocalise((view, kind), is_doubtful, estimate, &mut update);
         }
         let tracking = self.frontend.tracking();
         let (is_anchored, is_tentative) = (tracking.is_anchored(), tracking.is_tentative());
         let before_joined = if is_anchored { self.join_waiting(&mut update) } else { None };
         self.move_objects(&update.moved);
-        // What it has not seen it adds nothing to the map by.
-        let is_keyframe_due = is_anchored && led_by.is_none();
+        // What it has not seen it adds nothing to the map by, nor what may come along with it.
+        let is_keyframe_due = is_anchored && led_by.is_none() && !self.frontend.may_move_along();
         let wanted = || self.second_looks.is_due(sensor, stamp);
         let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate, wanted) } else { None };
         let seen = keyframe.as_ref().map(Keyframe::ends);
         let keyframe = keyframe.map(|k| self.add(k, &view.scan, before_joined.as_ref()));
 
-        estimate.state = self.frontend.tracking().told(&estimate);
+        estimate.state = self.frontend.told(&estimate);
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
         self.pose = Some(pose.clone());
         self.keep_newest(view, &pose, is_anchored || is_tentative, seen);
@@ -236,7 +239,8 @@ impl Pipeline {
         let frontend = &self.frontend;
         let (unanchored, is_anchored) = (frontend.tracking().unanchored(), frontend.tracking().is_anchored());
         let is_tentative = frontend.tracking().is_tentative();
-        if unanchored.is_none() && !is_tentative && !(is_anchored && is_doubtful) {
+        let only_localises = self.params.slam.localisation_only && estimate.state.is_tracking();
+        if unanchored.is_none() && !is_tentative && !(is_anchored && (is_doubtful || only_localises)) {
             return estimate;
         }
         let seen = UnanchoredView {
@@ -256,7 +260,7 @@ impl Pipeline {
             None
         } else {
             let in_map = self.covariance_of(&estimate);
-            if self.map_graph.doubt(&seen, &in_map) {
+            if self.map_graph.doubt(&seen, &in_map, !is_doubtful) {
                 self.frontend.doubt();
             }
             None
@@ -334,6 +338,7 @@ impl Pipeline {
             scale: estimate.scale,
             waiting: estimate.waiting,
             is_relocalised: was_lost && estimate.state.is_tracking(),
+            is_tentative: estimate.state.is_tracking() && self.map_graph.is_on_probation(),
             led_by: None,
             map_version: self.map_graph.map().version(),
         }

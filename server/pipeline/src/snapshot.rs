@@ -38,6 +38,8 @@ pub struct PoseEstimate {
     pub waiting: Option<Waiting>,
     /// Whether the robot was lost and this frame found it again.
     pub is_relocalised: bool,
+    /// Whether the robot was found here and may be in another place that looks alike: nothing enters the map until that is certain.
+    pub is_tentative: bool,
     /// The second sensor that measured this pose, because the pose sensor is silent or sees nothing.
     pub led_by: Option<SensorId>,
     /// Version of the map that `t_map_base` refers to.

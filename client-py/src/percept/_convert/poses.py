@@ -38,6 +38,7 @@ def pose_estimate(message: session_pb2.PoseEstimate) -> PoseEstimate:
         waiting_for=words.word(WaitingFor, session_pb2.WaitingFor, message.waiting_for),
         waiting_message=message.waiting_message,
         relocalised=message.relocalised,
+        tentative=message.tentative,
         led_by=message.led_by or None,
     )
 

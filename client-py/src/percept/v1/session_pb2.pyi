@@ -370,6 +370,7 @@ class PoseEstimate(_message.Message):
     SCALE_MESSAGE_FIELD_NUMBER: _builtins.int
     WAITING_MESSAGE_FIELD_NUMBER: _builtins.int
     LED_BY_FIELD_NUMBER: _builtins.int
+    TENTATIVE_FIELD_NUMBER: _builtins.int
     stamp_ns: _builtins.int
     """Stamp of the frame that it belongs to."""
     state: Global___TrackingState.ValueType
@@ -396,6 +397,10 @@ class PoseEstimate(_message.Message):
     """`waiting_for` in words, with a remedy. Empty if it waits for nothing."""
     led_by: _builtins.str
     """The second sensor that measured this pose, because the sensor that moves it is silent or sees nothing. Empty if that one did."""
+    tentative: _builtins.bool
+    """The robot was found here, and may be in another place that looks alike: nothing that it sees enters the map until other
+    surroundings agree. Where they contradict the map it is LOST again.
+    """
     @_builtins.property
     def t_map_base(self) -> _geometry_pb2.Pose:
         """Base to map."""
@@ -433,10 +438,11 @@ class PoseEstimate(_message.Message):
         scale_message: _builtins.str = ...,
         waiting_message: _builtins.str = ...,
         led_by: _builtins.str = ...,
+        tentative: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "led_by", b"led_by", "lost_message", b"lost_message", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_message", b"scale_message", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "waiting_for", b"waiting_for", "waiting_message", b"waiting_message"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["covariance", b"covariance", "degenerate_axes", b"degenerate_axes", "inlier_ratio", b"inlier_ratio", "led_by", b"led_by", "lost_message", b"lost_message", "lost_reason", b"lost_reason", "map_version", b"map_version", "relocalised", b"relocalised", "rmse_m", b"rmse_m", "scale", b"scale", "scale_message", b"scale_message", "scale_source", b"scale_source", "stamp_ns", b"stamp_ns", "state", b"state", "t_map_base", b"t_map_base", "t_odom_base", b"t_odom_base", "tentative", b"tentative", "waiting_for", b"waiting_for", "waiting_message", b"waiting_message"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

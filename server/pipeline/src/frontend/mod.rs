@@ -11,6 +11,7 @@ mod keyframes;
 mod leading;
 mod motion;
 mod odometry_prior;
+mod restart_check;
 mod resume;
 mod scale_hints;
 mod second;
@@ -34,7 +35,10 @@ use extrinsics::ExtrinsicsCheck;
 use motion::{MotionSensors, Prior};
 use nalgebra::{Unit, Vector3};
 use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
-use percept_slam::{ImuFault, KeyframePolicy, Odometry, OdometryEstimate, OdometryKind, Scan};
+use percept_slam::{
+    ImuFault, KeyframePolicy, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState,
+};
+use restart_check::{RestartCheck, Word};
 use scale_hints::ScaleHints;
 use second::SecondSensors;
 use sensors::{Sensors, scan_of};
@@ -50,6 +54,10 @@ pub(crate) struct Frontend {
     second: SecondSensors,
     scale_hints: ScaleHints,
     tracking: Tracking,
+    /// Since odometry has begun anew beside wheels, until it is believed.
+    restart_check: Option<RestartCheck>,
+    /// Whether it began with what moves with the robot, the last time.
+    moves_along: bool,
     /// Whether the newest pose is in metres.
     is_metric: bool,
     /// Running mean of the inlier ratio of frames that were anchored in the map; 0 before the first.
@@ -75,6 +83,8 @@ impl Frontend {
             second: SecondSensors::default(),
             scale_hints: ScaleHints::default(),
             tracking: Tracking::default(),
+            restart_check: None,
+            moves_along: false,
             is_metric: false,
             usual_inlier_ratio: 0.0,
             extrinsics: ExtrinsicsCheck::default(),
@@ -164,12 +174,35 @@ impl Frontend {
         // What sees well needs no help, and what is a little off in every step would drag its map along.
         let needs_help = !self.second.is_pose_known();
         let second = led.as_ref().filter(|_| needs_help).and_then(|led| self.second.motion_to(led));
-        let Prior { motion, has_wheels, imu } = self.motion.prior(since, stamp, second);
+        let Prior { motion, wheels, imu } = self.motion.prior(since, stamp, second);
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
         let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
+        let checked = self.restart_check.as_mut().zip(wheels.as_ref()).filter(|_| estimate.state.is_tracking());
+        let mut moved_along = false;
+        let estimate = match checked.map(|(check, (told, _))| check.add(&told.t_prev_now, &estimate.t_odom_base)) {
+            Some(Word::Moves { t_odom_base, told }) => {
+                (self.moves_along, moved_along) = (true, true);
+                self.tracking.reckon();
+                odometry.lead_to(&t_odom_base, &told, stamp).unwrap_or(estimate)
+            }
+            Some(Word::Stands) => {
+                (self.restart_check, self.moves_along) = (None, false);
+                estimate
+            }
+            Some(Word::Open) | None => estimate,
+        };
         let (moved, num_unbelieved) = (odometry.take_moved(), odometry.num_imu_unbelieved());
-        if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking()) {
+        self.restart_check = match (self.restart_check.take(), &wheels, estimate.state) {
+            // Wheels that were never compared, or are wrong, say nothing.
+            (_, Some((_, true)), TrackingState::Initialising) if since.is_some() => {
+                Some(RestartCheck::new(estimate.t_odom_base))
+            }
+            (check, Some(_), TrackingState::Tracking) => check,
+            _ => None,
+        };
+        let is_on_trial = self.restart_check.is_some();
+        if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking() && !is_on_trial) {
             let moved = t_odom_last.inv_mul(&estimate.t_odom_base);
             let known = (kind == OdometryKind::Lidar2d, estimate.scale.is_metric());
             self.motion.learn((last, stamp), &moved, known, num_unbelieved);
@@ -181,16 +214,28 @@ impl Frontend {
         let (estimate, led_by) = self.with_stand_in(estimate, kind, led);
         let is_back = self.tracking.is_lost() && estimate.state.is_tracking() && led_by.is_none();
         let is_doubtful = is_back && !is_sure(estimate.inlier_ratio, self.usual_inlier_ratio);
-        self.tracking.step(&estimate, has_wheels, || is_mapped(&estimate.t_odom_base));
+        self.tracking.step(&estimate, wheels.is_some(), || is_mapped(&estimate.t_odom_base));
         if self.tracking.is_anchored() && led_by.is_none() && estimate.state.is_tracking() {
             self.usual_inlier_ratio += 0.1 * (estimate.inlier_ratio - self.usual_inlier_ratio);
         }
-        Registered { estimate, kind, led_by, is_doubtful, moved }
+        Registered { estimate, kind, led_by, is_doubtful, moved_along, moved }
     }
 
     /// How the newest pose hangs on the map.
     pub(crate) fn tracking(&self) -> &Tracking {
         &self.tracking
+    }
+
+    /// Whether odometry has begun anew, and may have begun with what moves with the robot.
+    pub(crate) fn may_move_along(&self) -> bool {
+        self.restart_check.as_ref().is_some_and(RestartCheck::is_unknown)
+    }
+
+    /// What is said of a pose that odometry has estimated.
+    pub(crate) fn told(&self, estimate: &OdometryEstimate) -> TrackingState {
+        let state = self.tracking.told(estimate);
+        let is_along = self.moves_along && self.may_move_along() && !state.is_lost();
+        if is_along { TrackingState::Lost { reason: LostReason::Adrift } } else { state }
     }
 
     /// How well frames that were anchored in the map usually fitted: share of their points, 0 before the first.

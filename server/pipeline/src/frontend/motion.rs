@@ -37,8 +37,8 @@ pub(super) struct MotionSensors {
 /// What is known of the motion between two frames.
 pub(super) struct Prior<'a> {
     pub(super) motion: Option<MotionPrior>,
-    /// Whether wheels say something of it.
-    pub(super) has_wheels: bool,
+    /// What wheels say of it, and whether these have proven themselves.
+    pub(super) wheels: Option<(MotionPrior, bool)>,
     /// The one in use.
     pub(super) imu: Option<&'a ImuBuffer>,
 }
@@ -97,15 +97,17 @@ impl MotionSensors {
 
     /// What wheels, a second sensor and the chosen IMU say of the motion from one frame, if there was one before, to another.
     pub(super) fn prior(&self, from: Option<Timestamp>, to: Timestamp, second: Option<MotionPrior>) -> Prior<'_> {
-        let wheels = from.and_then(|from| self.wheels.values().find_map(|w| w.between(from, to)));
+        let wheels = from.and_then(|from| self.wheels.iter().find_map(|(id, w)| Some((id, w.between(from, to)?))));
+        let is_proven = |id: &SensorId| self.wheels_checks.get(id).is_some_and(WheelsCheck::is_proven);
+        let told = wheels.as_ref().map(|(id, told)| (told.clone(), is_proven(id)));
+        let wheels = wheels.map(|(_, told)| told);
         let imu = self.used_imu.as_ref().and_then(|id| self.imus.get(id));
         // Where others tell the turn, too, nothing is lost by waiting until the gyro has shown to be right.
         let is_told = wheels.is_some() || second.is_some();
         let is_welcome = |i: &&ImuBuffer| if is_told { i.has_proven_turns() } else { !i.spoils_turns() };
         let turn = imu.filter(is_welcome).zip(from).and_then(|(i, from)| i.between(from, to));
-        let has_wheels = wheels.is_some();
         let motion = if second.is_some() { fused(turn, fused(wheels, second)) } else { joined(wheels, turn) };
-        Prior { has_wheels, motion, imu }
+        Prior { wheels: told, motion, imu }
     }
 
     /// A motion that was measured otherwise tells a gyro's bias, what is wrong with it and with wheels, and how far clocks are

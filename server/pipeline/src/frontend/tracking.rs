@@ -132,6 +132,13 @@ impl Tracking {
         }
     }
 
+    /// What spoke against the place that wheels have led to was not there: they lead on.
+    pub(crate) fn reckon(&mut self) {
+        if let Self::Unanchored(Unanchored { last, is_reckoned: true, .. }) = *self {
+            *self = Self::DeadReckoning { last, is_contradicted: false };
+        }
+    }
+
     /// Whether the newest frames were not placed, and no new local model was begun.
     pub(crate) fn is_lost(&self) -> bool {
         matches!(self, Self::Lost { .. } | Self::DeadReckoning { .. })

@@ -32,6 +32,8 @@ pub(crate) struct Registered {
     pub(crate) led_by: Option<SensorId>,
     /// Whether odometry goes on after a loss with less than what usually fits: it may be elsewhere.
     pub(crate) is_doubtful: bool,
+    /// Whether what was seen since odometry began anew moved with the robot: it says nothing of where that is.
+    pub(crate) moved_along: bool,
     /// How the past moved with it, in a camera's own map: stamps, ascending, and old to new odom near them.
     pub(crate) moved: Vec<(Timestamp, Pose)>,
 }

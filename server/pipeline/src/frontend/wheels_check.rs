@@ -80,13 +80,17 @@ impl Sums {
     }
 }
 
+/// Whether that is a stretch.
+pub(super) fn moved_far(t: &Pose) -> bool {
+    t.translation.vector.norm() >= STRETCH.0 || t.rotation.angle() >= STRETCH.1
+}
+
 impl WheelsCheck {
     /// Adds the motion between two frames that were both placed, in metres.
     pub(super) fn add(&mut self, told: &Pose, measured: &Pose) {
         self.open.told *= told;
         self.open.measured *= measured;
-        let moved = |t: &Pose| t.translation.vector.norm() >= STRETCH.0 || t.rotation.angle() >= STRETCH.1;
-        if moved(&self.open.measured) || moved(&self.open.told) {
+        if moved_far(&self.open.measured) || moved_far(&self.open.told) {
             self.kept.push_back(std::mem::take(&mut self.open));
             if self.kept.len() > KEPT {
                 self.kept.pop_front();
@@ -97,6 +101,12 @@ impl WheelsCheck {
     /// The robot was not placed for a while, or not in metres: the stretch is no stretch.
     pub(super) fn interrupt(&mut self) {
         self.open = Stretch::default();
+    }
+
+    /// Whether enough was driven to tell, and nothing is wrong.
+    pub(super) fn is_proven(&self) -> bool {
+        let way: f64 = self.kept.iter().map(|s| s.measured.translation.vector.norm()).sum();
+        way > LEAST.0 && self.faults().is_empty()
     }
 
     /// What is wrong, once enough was driven to tell.

@@ -126,9 +126,9 @@ impl Probation {
 }
 
 impl MapGraph {
-    /// A robot that is in the map is to be there only as long as what it sees agrees, and adds nothing to the map until that is certain;
-    /// whether it can be. `in_map` is the covariance of its pose.
-    pub(crate) fn doubt(&mut self, view: &UnanchoredView<'_>, in_map: &Covariance6) -> bool {
+    /// A robot that is in the map is to be there only as long as what it sees agrees, and adds nothing to the map until that is certain,
+    /// if it is not already; whether it can be. `in_map` is the covariance of its pose.
+    pub(crate) fn doubt(&mut self, view: &UnanchoredView<'_>, in_map: &Covariance6, is_certain: bool) -> bool {
         let t_odom_base = view.estimate.t_odom_base;
         let Some((keyframe, t_keyframe_base)) = self.nearest_keyframe(&(self.t_map_odom * t_odom_base)) else {
             return false;
@@ -141,7 +141,9 @@ impl MapGraph {
         let at = FoundAt { t_odom_base, of_odometry: view.estimate.covariance, in_map: *in_map };
         self.relocaliser.begin_anew();
         self.atlas.begin_anew();
-        self.relocaliser.probation = Some(Probation::new(found, at, &(view.kept)(), 0.0));
+        let agreed = if is_certain { AGREE } else { 0 };
+        let probation = Probation { agreed, ..Probation::new(found, at, &(view.kept)(), 0.0) };
+        self.relocaliser.probation = Some(probation);
         self.gather(view);
         true
     }
@@ -151,6 +153,12 @@ impl MapGraph {
         let living = self.keyframes.iter().filter(|k| k.merged.is_none());
         let from = living.map(|k| (k.id, k.t_map_base.inv_mul(t_map_base)));
         from.min_by(|a, b| a.1.translation.vector.norm().total_cmp(&b.1.translation.vector.norm()))
+    }
+
+    /// Whether the robot was found, and is not certain to be there.
+    pub(crate) fn is_on_probation(&self) -> bool {
+        let probation = self.relocaliser.probation.as_ref();
+        probation.is_some_and(|p| p.verdict(self.relocaliser.way_m) != Verdict::Confirmed)
     }
 
     /// What a view of a robot says that was found and is not certain to be there.

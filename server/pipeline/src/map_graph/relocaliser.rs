@@ -232,6 +232,11 @@ impl MapGraph {
         None
     }
 
+    /// What an unanchored robot has seen was no place.
+    pub(crate) fn forget_gathered(&mut self) {
+        self.relocaliser.begin_anew();
+    }
+
     /// Keeps what a view shows, and asks where that is, or whether it agrees with where it is believed to be.
     pub(super) fn gather(&mut self, view: &UnanchoredView<'_>) {
         let Some(sighting) = self.relocaliser.gather(view, &self.params, self.base_height_m) else { return };

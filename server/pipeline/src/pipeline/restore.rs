@@ -56,6 +56,7 @@ impl Pipeline {
             scale: if kind == OdometryKind::Mono { Scale::Unknown } else { Scale::Measured },
             waiting: None,
             is_relocalised: false,
+            is_tentative: false,
             led_by: None,
             map_version: self.map_graph.map().version(),
         });

@@ -2,6 +2,7 @@
 //! and no longer; and nothing of the map is changed meanwhile.
 
 use nalgebra::{Point2, Vector2};
+use percept_geometry::sensor::OdometrySample;
 use percept_geometry::{LaserScan, Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp, se3};
 use percept_mapping::Occupancy as _;
 use percept_mapping::given::{GivenOptions, views_of_grid};
@@ -215,4 +216,44 @@ fn a_robot_that_wakes_where_nobody_has_mapped_is_found_soon_after_it_comes_into_
     let out_of_the_room = way.iter().position(|at| at.1 < 1.05).unwrap();
     let found = told.iter().rposition(|e| !right(e)).map_or(0, |i| i + 1);
     assert!(found < out_of_the_room + 120, "{found} after {out_of_the_room}");
+}
+
+/// Nine people walk around the robot, four fifths of what it would see behind them.
+fn among_people(plan: &Plan, (x, y, _): (f64, f64, f64)) -> Plan {
+    let mut plan = plan.clone();
+    for k in 0..9 {
+        let angle = TAU * f64::from(k) / 9.0;
+        let (px, py) = (x + 0.8 * angle.cos(), y + 0.8 * angle.sin());
+        plan.thing(px - 0.22, py - 0.22, px + 0.22, py + 0.22);
+    }
+    plan
+}
+
+#[test]
+fn wheels_lead_while_people_who_walk_along_hide_the_surroundings() {
+    let plan = Plan::of_rooms(false);
+    let way = tour(&[0, 1, 2, 3]);
+    let wheels = SensorSpec { id: SensorId::from("wheels"), kind: SensorKind::Odometry, ..laser() };
+    let mut pipeline = pipeline();
+    pipeline.declare_sensor(wheels.clone());
+    let (x0, y0, yaw0) = way[0];
+    let t_map_world = se3::from_xy_yaw(x0, y0, yaw0).inverse();
+    // Through the first two rooms alone, through the third among people, and back alone.
+    let among = 800..1200;
+    for (i, at) in way.iter().enumerate() {
+        let seen = if among.contains(&i) { among_people(&plan, *at) } else { plan.clone() };
+        let stamp = Timestamp::from_nanos(1_000_000_000 + 100_000_000 * i as i64);
+        // The wheels' frame is their own, and they are 3 % off.
+        let sample = OdometrySample { t_odom_base: se3::from_xy_yaw(1.03 * at.0, 1.03 * at.1, at.2), covariance: None };
+        let told = SensorFrame { sensor: wheels.id.clone(), stamp, data: SensorData::Odometry(sample) };
+        pipeline.process(&told).unwrap();
+        let frame = SensorFrame { sensor: laser().id, stamp, data: SensorData::Scan(seen.scan(*at, i)) };
+        let pose = pipeline.process(&frame).unwrap().pose.unwrap();
+        let truth = (t_map_world * se3::from_xy_yaw(at.0, at.1, at.2)).translation.vector;
+        let off = (truth - pose.t_map_base.translation.vector).xy().norm();
+        let most = if pose.state.is_tracking() { 0.3 } else { 1.2 };
+        assert!(off < most, "{i}: {off} m off, {:?}", pose.state);
+    }
+    assert!(pipeline.snapshot().wheels_faults.is_empty());
+    assert!(pipeline.snapshot().pose.unwrap().state.is_tracking());
 }

@@ -91,7 +91,9 @@ impl Service {
         check_id("session_id", session)?;
         options.check()?;
         let before = self.snapshot(session).await?;
-        if before.keyframes.is_empty() && before.pose.is_none() { Ok(before) } else { Err(not_empty()) }
+        // A robot that only localises has been nowhere before there is a map.
+        let has_been_nowhere = before.pose.as_ref().is_none_or(|pose| pose.state.is_lost());
+        if before.keyframes.is_empty() && has_been_nowhere { Ok(before) } else { Err(not_empty()) }
     }
 
     /// Where robots stood that mapped these sessions, on the floor, map frame, metres: base's height over it is that of its first

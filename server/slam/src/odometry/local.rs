@@ -13,7 +13,7 @@ use super::{OdometryEstimate, OdometryKind, OdometryParams};
 use crate::covariance::diagonal;
 use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
 use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
-use crate::motion_noise::GUESSED_AFTER_S;
+use crate::motion_noise::{GUESSED_AFTER_S, unknown_wheels};
 use crate::motion_prior::MotionPrior;
 use crate::scan::Scan;
 use crate::tracking::{LostReason, Scale, TrackingState};
@@ -281,6 +281,18 @@ impl LocalOdometry {
         self.velocity = None;
         self.inertial.forget();
         (self.num_lost, self.unplaced_s) = (0, 0.0);
+    }
+
+    /// Begins anew with the next frame where wheels have led over a stretch of the way ([`super::Odometry::lead_to`]).
+    pub(super) fn lead_to(&mut self, t_odom_base: &Pose, told: &Pose, stamp: Timestamp) -> OdometryEstimate {
+        self.model.clear();
+        self.inertial.lost();
+        self.velocity = None;
+        self.num_lost = 1;
+        let way_m = told.translation.vector.norm();
+        self.uncertainty.predicted(told, &unknown_wheels(way_m, told.rotation.angle()));
+        self.t_odom_base = *t_odom_base;
+        self.unmeasured(stamp, TrackingState::Lost { reason: LostReason::Adrift })
     }
 
     /// Moves to where a scan lies around a pose that was told; false if it cannot be said to lie there.

@@ -235,6 +235,15 @@ impl Odometry {
         }
     }
 
+    /// Begins anew at a pose that something else has led to over the last stretch of the way, `told`, with the next frame; what is said
+    /// of this one. A camera alone, which has no local model, is not led: none.
+    pub fn lead_to(&mut self, t_odom_base: &Pose, told: &Pose, stamp: Timestamp) -> Option<OdometryEstimate> {
+        let Method::Local(local) = &mut self.method else { return None };
+        let estimate = local.lead_to(t_odom_base, told, stamp);
+        self.covariance = estimate.covariance;
+        Some(estimate)
+    }
+
     /// Begins in a map where somebody says that base is: `near` views of it with their poses in odom become the local model. False
     /// if `scan`, taken at `stamp`, does not fit there, or contradicts what these views looked through: then this odometry is of
     /// no use. A camera alone, which has no local model, is believed.

@@ -150,6 +150,7 @@ pub fn pose_to(p: &PoseEstimate) -> v1::PoseEstimate {
         waiting_for: p.waiting.map_or(v1::WaitingFor::Unspecified, waiting_to).into(),
         waiting_message: p.waiting.map(|w| w.to_string()).unwrap_or_default(),
         relocalised: p.is_relocalised,
+        tentative: p.is_tentative,
         led_by: p.led_by.as_ref().map(|s| s.0.clone()).unwrap_or_default(),
         map_version: p.map_version,
     }
