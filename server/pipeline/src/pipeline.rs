@@ -149,7 +149,7 @@ impl Pipeline {
         self.pose = Some(pose.clone());
         self.keep_newest(view, &pose, is_anchored || is_tentative, seen);
         // What is not certain is told in the trajectory once it is.
-        let is_told = is_anchored || (is_tentative && self.params.slam.localisation_only);
+        let is_told = is_anchored || (is_tentative && self.map_graph.counts_as_placed());
         let trajectory = self.extend_trajectory(sensor, &pose, is_told, keyframe.as_ref());
         if is_anchored {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));

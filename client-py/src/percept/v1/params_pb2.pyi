@@ -170,8 +170,14 @@ class SlamParams(_message.Message):
     ODOMETRY_FIELD_NUMBER: _builtins.int
     BACK_END_FIELD_NUMBER: _builtins.int
     SECOND_SENSORS_FIELD_NUMBER: _builtins.int
+    LOCALISATION_ONLY_FIELD_NUMBER: _builtins.int
     pose_sensor: _builtins.str
     """Sensor that moves the pose. Empty: the best declared (lidar3d, lidar2d, rgbd or depth, camera)."""
+    localisation_only: _builtins.bool
+    """Only localises in the map that there is: nothing that the robot sees enters it, and where that contradicts the map the robot is
+    lost and looked for. In a session without a map the robot is lost until one is imported. May be turned on and off at any time;
+    after it is off the map goes on where the robot is.
+    """
     @_builtins.property
     def odometry(self) -> Global___OdometryParams:
         """Registration of frames, and when one becomes a keyframe."""
@@ -191,13 +197,19 @@ class SlamParams(_message.Message):
         odometry: Global___OdometryParams | None = ...,
         back_end: Global___BackEndParams | None = ...,
         second_sensors: Global___SecondSensorParams | None = ...,
+        localisation_only: _builtins.bool | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor", "second_sensors", b"second_sensors"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_localisation_only", b"_localisation_only", "_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "localisation_only", b"localisation_only", "odometry", b"odometry", "pose_sensor", b"pose_sensor", "second_sensors", b"second_sensors"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "odometry", b"odometry", "pose_sensor", b"pose_sensor", "second_sensors", b"second_sensors"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_localisation_only", b"_localisation_only", "_pose_sensor", b"_pose_sensor", "back_end", b"back_end", "localisation_only", b"localisation_only", "odometry", b"odometry", "pose_sensor", b"pose_sensor", "second_sensors", b"second_sensors"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__localisation_only: _TypeAlias = _typing.Literal["localisation_only"]  # noqa: Y015
+    _WhichOneofArgType__localisation_only: _TypeAlias = _typing.Literal["_localisation_only", b"_localisation_only"]  # noqa: Y015
     _WhichOneofReturnType__pose_sensor: _TypeAlias = _typing.Literal["pose_sensor"]  # noqa: Y015
     _WhichOneofArgType__pose_sensor: _TypeAlias = _typing.Literal["_pose_sensor", b"_pose_sensor"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__localisation_only) -> _WhichOneofReturnType__localisation_only | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_sensor) -> _WhichOneofReturnType__pose_sensor | None: ...
 
 Global___SlamParams: _TypeAlias = SlamParams  # noqa: Y015

@@ -11,7 +11,7 @@ use super::worker::Checked;
 use super::{MapGraph, MapUpdate};
 use crate::frontend::FoundAt;
 use nalgebra::Point3;
-use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, se3};
+use percept_geometry::{Covariance6, KeyframeId, KeyframeScan, Pose, Timestamp, se3};
 use percept_slam::{Evidence, OdometryKind, Relocalisation};
 use std::collections::{BTreeSet, VecDeque};
 
@@ -62,6 +62,8 @@ pub(super) struct Probation {
     begun_after_m: f64,
     elsewhere_m: f64,
     sees_around: bool,
+    /// Whether it was in the map before: its frames count as placed until they are known not to be.
+    was_anchored: bool,
     /// Whether the newest views that said something agreed.
     newest: VecDeque<bool>,
     /// Views from elsewhere that agreed.
@@ -80,6 +82,7 @@ impl Probation {
             elsewhere_m: (ELSEWHERE * usual_range_m(seen)).clamp(ELSEWHERE_M.0, ELSEWHERE_M.1),
             begun_after_m: way_m,
             sees_around: sees_around(seen),
+            was_anchored: false,
             newest: VecDeque::new(),
             agreed: 0,
             is_asked: false,
@@ -142,7 +145,7 @@ impl MapGraph {
         self.relocaliser.begin_anew();
         self.atlas.begin_anew();
         let agreed = if is_certain { AGREE } else { 0 };
-        let probation = Probation { agreed, ..Probation::new(found, at, &(view.kept)(), 0.0) };
+        let probation = Probation { agreed, was_anchored: true, ..Probation::new(found, at, &(view.kept)(), 0.0) };
         self.relocaliser.probation = Some(probation);
         self.gather(view);
         true
@@ -153,6 +156,24 @@ impl MapGraph {
         let living = self.keyframes.iter().filter(|k| k.merged.is_none());
         let from = living.map(|k| (k.id, k.t_map_base.inv_mul(t_map_base)));
         from.min_by(|a, b| a.1.translation.vector.norm().total_cmp(&b.1.translation.vector.norm()))
+    }
+
+    /// Whether frames of a robot that is on probation count as placed.
+    pub(crate) fn counts_as_placed(&self) -> bool {
+        let probation = self.relocaliser.probation.as_ref();
+        probation.is_some_and(|p| p.was_anchored || self.params.localisation_only)
+    }
+
+    /// Frames of a robot that is not where it was believed to be do not count as placed: those since the newest view that agreed, if it
+    /// was certain to be there.
+    fn take_back(&mut self, update: &mut MapUpdate) {
+        let Some(probation) = &self.relocaliser.probation else { return };
+        let frames = &self.relocaliser.part.frames;
+        let is_agreed = |(_, t): &(Timestamp, Pose)| *t == probation.at.t_odom_base;
+        let was_certain = probation.agreed >= AGREE;
+        let from = if was_certain { frames.iter().rposition(is_agreed).map_or(0, |i| i + 1) } else { 0 };
+        update.mended.extend(self.trajectory.forget(&frames[from..]));
+        update.mended.sort_by_key(|e| e.stamp);
     }
 
     /// Whether the robot was found, and is not certain to be there.
@@ -181,6 +202,7 @@ impl MapGraph {
             }
             Verdict::Withdrawn => {}
         }
+        self.take_back(update);
         let t_map_odom = self.t_map_odom;
         self.relocaliser.withdraw(&t_map_odom);
         Probed::Withdrawn

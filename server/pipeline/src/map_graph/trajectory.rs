@@ -93,10 +93,16 @@ impl Trajectory {
         mended
     }
 
-    /// Frames that were placed in what is not the map any more; the entries as they are then.
+    /// Frames that were placed in what is not the map any more, or where the robot was not; the entries as they are then.
     pub(super) fn forget(&mut self, frames: &[(Timestamp, Pose)]) -> Vec<TrajectoryEntry> {
         let lost = |entry: TrajectoryEntry| TrajectoryEntry { tracked: false, ..entry };
-        frames.iter().filter_map(|(stamp, _)| self.replace(*stamp, lost)).collect()
+        let forgotten = frames.iter().filter(|(stamp, _)| self.is_tracked(*stamp)).map(|f| f.0);
+        let forgotten: Vec<Timestamp> = forgotten.collect();
+        forgotten.into_iter().filter_map(|stamp| self.replace(stamp, lost)).collect()
+    }
+
+    fn is_tracked(&self, stamp: Timestamp) -> bool {
+        self.0.get(self.0.partition_point(|e| e.stamp < stamp)).is_some_and(|e| e.stamp == stamp && e.tracked)
     }
 
     /// Puts another entry in the place of the one with this stamp, if there is one.
