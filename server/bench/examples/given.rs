@@ -45,12 +45,11 @@ fn main() -> Result<(), Failure> {
     let (mut frames, mut truth): (Vec<SensorFrame>, BTreeMap<Timestamp, Pose>) = (vec![], BTreeMap::new());
     for frame in recording.frames(None) {
         let frame = frame?;
-        if let Some(pose) = first.process(&frame)?.pose {
-            truth.insert(frame.stamp, pose.t_map_base);
-        }
+        first.process(&frame)?;
         frames.push(frame);
     }
     first.settle();
+    truth.extend(first.snapshot().trajectory().filter(|(_, e)| e.tracked).map(|(t, e)| (e.stamp, t)));
     let layers = first.snapshot().layers;
 
     let begun = Instant::now();
@@ -133,6 +132,8 @@ impl Told {
         } else if self.is_tracking {
             self.lost += 1;
             self.withdrawn += usize::from(self.is_tentative);
+            let off = self.off_m.last().copied().unwrap_or(f64::NAN);
+            println!("lost again after {now_s:.1} s, {off:.3} m off: {:?}", pose.state);
         }
         self.frames += usize::from(self.found_s.is_some());
         (self.is_tracking, self.is_tentative) = (is_tracking, pose.is_tentative);

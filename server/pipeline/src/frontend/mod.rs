@@ -38,7 +38,7 @@ use percept_geometry::{Pose, SensorFrame, SensorId, SensorKind, SensorSpec, Time
 use percept_slam::{
     ImuFault, KeyframePolicy, LostReason, Odometry, OdometryEstimate, OdometryKind, Scan, TrackingState,
 };
-use restart_check::{RestartCheck, Word};
+use restart_check::Restarts;
 use scale_hints::ScaleHints;
 use second::SecondSensors;
 use sensors::{Sensors, scan_of};
@@ -54,10 +54,8 @@ pub(crate) struct Frontend {
     second: SecondSensors,
     scale_hints: ScaleHints,
     tracking: Tracking,
-    /// Since odometry has begun anew beside wheels, until it is believed.
-    restart_check: Option<RestartCheck>,
-    /// Whether it began with what moves with the robot, the last time.
-    moves_along: bool,
+    /// Local models that were begun anew, as wheels see them.
+    restarts: Restarts,
     /// Whether the newest pose is in metres.
     is_metric: bool,
     /// Running mean of the inlier ratio of frames that were anchored in the map; 0 before the first.
@@ -83,8 +81,7 @@ impl Frontend {
             second: SecondSensors::default(),
             scale_hints: ScaleHints::default(),
             tracking: Tracking::default(),
-            restart_check: None,
-            moves_along: false,
+            restarts: Restarts::default(),
             is_metric: false,
             usual_inlier_ratio: 0.0,
             extrinsics: ExtrinsicsCheck::default(),
@@ -178,31 +175,15 @@ impl Frontend {
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
         let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
-        let checked = self.restart_check.as_mut().zip(wheels.as_ref()).filter(|_| estimate.state.is_tracking());
-        let mut moved_along = false;
-        let estimate = match checked.map(|(check, (told, _))| check.add(&told.t_prev_now, &estimate.t_odom_base)) {
-            Some(Word::Moves { t_odom_base, told }) => {
-                (self.moves_along, moved_along) = (true, true);
-                self.tracking.reckon();
-                odometry.lead_to(&t_odom_base, &told, stamp).unwrap_or(estimate)
-            }
-            Some(Word::Stands) => {
-                (self.restart_check, self.moves_along) = (None, false);
-                estimate
-            }
-            Some(Word::Open) | None => estimate,
-        };
+        let moves_along = self.restarts.compare(wheels.as_ref().map(|w| &w.0.t_prev_now), &estimate);
+        let anew = moves_along.and_then(|(t_odom_base, told)| odometry.lead_to(&t_odom_base, &told, stamp));
+        let moved_along = anew.is_some();
+        let estimate = anew.unwrap_or(estimate);
         let (moved, num_unbelieved) = (odometry.take_moved(), odometry.num_imu_unbelieved());
-        self.restart_check = match (self.restart_check.take(), &wheels, estimate.state) {
-            // Wheels that were never compared, or are wrong, say nothing.
-            (_, Some((_, true)), TrackingState::Initialising) if since.is_some() => {
-                Some(RestartCheck::new(estimate.t_odom_base))
-            }
-            (check, Some(_), TrackingState::Tracking) => check,
-            _ => None,
-        };
-        let is_on_trial = self.restart_check.is_some();
-        if let Some(last) = since.filter(|_| was_tracking && estimate.state.is_tracking() && !is_on_trial) {
+        self.restarts.follow(wheels.as_ref().map(|w| w.1), &estimate);
+        if let Some(last) =
+            since.filter(|_| was_tracking && estimate.state.is_tracking() && !self.restarts.is_comparing())
+        {
             let moved = t_odom_last.inv_mul(&estimate.t_odom_base);
             let known = (kind == OdometryKind::Lidar2d, estimate.scale.is_metric());
             self.motion.learn((last, stamp), &moved, known, num_unbelieved);
@@ -214,7 +195,15 @@ impl Frontend {
         let (estimate, led_by) = self.with_stand_in(estimate, kind, led);
         let is_back = self.tracking.is_lost() && estimate.state.is_tracking() && led_by.is_none();
         let is_doubtful = is_back && !is_sure(estimate.inlier_ratio, self.usual_inlier_ratio);
+        // What spoke against the place where wheels have led moved with the robot, or wheels never agreed with it.
+        let begins = self.restarts.is_comparing() && estimate.state == TrackingState::Initialising;
+        if (begins || moved_along) && self.restarts.speak_against_nothing() {
+            self.tracking.reckon();
+        }
         self.tracking.step(&estimate, wheels.is_some(), || is_mapped(&estimate.t_odom_base));
+        if self.tracking.unanchored().is_none() {
+            self.restarts.forget();
+        }
         if self.tracking.is_anchored() && led_by.is_none() && estimate.state.is_tracking() {
             self.usual_inlier_ratio += 0.1 * (estimate.inlier_ratio - self.usual_inlier_ratio);
         }
@@ -228,13 +217,13 @@ impl Frontend {
 
     /// Whether odometry has begun anew, and may have begun with what moves with the robot.
     pub(crate) fn may_move_along(&self) -> bool {
-        self.restart_check.as_ref().is_some_and(RestartCheck::is_unknown)
+        self.restarts.may_move_along()
     }
 
     /// What is said of a pose that odometry has estimated.
     pub(crate) fn told(&self, estimate: &OdometryEstimate) -> TrackingState {
         let state = self.tracking.told(estimate);
-        let is_along = self.moves_along && self.may_move_along() && !state.is_lost();
+        let is_along = self.restarts.are_along() && !state.is_lost();
         if is_along { TrackingState::Lost { reason: LostReason::Adrift } } else { state }
     }
 

@@ -24,7 +24,7 @@ pub(crate) struct Unanchored {
     pub(crate) last: AnchoredFrame,
     /// Frames in metres since odometry began anew.
     pub(crate) num_frames: u32,
-    /// Whether wheels covered the loss: the guess is theirs then.
+    /// Whether wheels covered the loss, and odometry or they each frame since: the guess is theirs then.
     pub(crate) is_reckoned: bool,
 }
 
@@ -77,7 +77,8 @@ impl Tracking {
             Self::Initialising | Self::WaitingForScale if estimate.state.is_lost() => return Self::Initialising,
             Self::Initialising | Self::WaitingForScale => return now,
             Self::Unanchored(before) => {
-                return Self::Unanchored(Unanchored { num_frames: before.num_frames + 1, ..before });
+                let is_reckoned = before.is_reckoned && is_covered;
+                return Self::Unanchored(Unanchored { num_frames: before.num_frames + 1, is_reckoned, ..before });
             }
             Self::Tentative { last } if estimate.state == TrackingState::Initialising => (last, false, false),
             Self::Tentative { .. } => return self,
