@@ -138,7 +138,8 @@ impl Pipeline {
         let before_joined = if is_anchored { self.join_waiting(&mut update) } else { None };
         self.move_objects(&update.moved);
         // What it has not seen it adds nothing to the map by, nor what may come along with it.
-        let is_keyframe_due = is_anchored && led_by.is_none() && !self.frontend.may_move_along();
+        let is_mapping = is_anchored && !self.params.slam.localisation_only;
+        let is_keyframe_due = is_mapping && led_by.is_none() && !self.frontend.may_move_along();
         let wanted = || self.second_looks.is_due(sensor, stamp);
         let keyframe = if is_keyframe_due { self.frontend.keyframe(view, &estimate, wanted) } else { None };
         let seen = keyframe.as_ref().map(Keyframe::ends);
@@ -216,12 +217,14 @@ impl Pipeline {
     fn keyframe_beside(&mut self, view: &View) -> Option<NewKeyframe> {
         let pose = self.pose.as_ref().filter(|p| !p.state.is_lost() && p.scale.is_metric())?;
         let (stamp, covariance) = (pose.stamp, pose.covariance);
-        let is_anchored = !self.frontend.tracking().is_tentative();
+        let is_mapping = !self.frontend.tracking().is_tentative() && !self.params.slam.localisation_only;
         let live = self.frontend.live_beside(view, stamp);
         self.keep(view, live.map(|(t_odom_base, scan)| (t_odom_base, Seen::Later(scan))));
         let wanted = || self.second_looks.is_due(&view.spec.id, view.stamp);
-        let keyframe =
-            if is_anchored { self.frontend.keyframe_beside(view, (stamp, covariance), wanted)? } else { return None };
+        if !is_mapping {
+            return None;
+        }
+        let keyframe = self.frontend.keyframe_beside(view, (stamp, covariance), wanted)?;
         let near = |sensor: &SensorId, t_odom_base: &Pose| self.map_graph.keyframes_near(sensor, t_odom_base);
         self.frontend.check_extrinsics(&keyframe, near);
         Some(self.add(keyframe, &view.scan, None))
@@ -260,7 +263,9 @@ impl Pipeline {
             None
         } else {
             let in_map = self.covariance_of(&estimate);
-            if self.map_graph.doubt(&seen, &in_map, !is_doubtful) {
+            // After a restart it is somewhere near, perhaps.
+            let was_placed = self.pose.as_ref().is_some_and(|p| p.state.is_tracking() && !p.is_tentative);
+            if self.map_graph.doubt(&seen, &in_map, !is_doubtful && was_placed) {
                 self.frontend.doubt();
             }
             None

@@ -25,10 +25,14 @@ const TURNED: f64 = 1.0;
 const AGREE: usize = 4;
 /// Where views say nothing, since the robot has left what is mapped: the way after which it is believed all the same, times the way to
 /// other surroundings.
-const UNSEEN: f64 = 4.0;
+const UNSEEN: f64 = 3.0;
 /// The newest views that say something, and how many of them have to contradict the map for the robot to be lost again.
 const NEWEST: usize = 8;
 const CONTRADICT: usize = 3;
+/// A robot that was certain to be there is lost only if so many of them contradict, and none has agreed for so long a way, metres: a
+/// room whose furniture was moved contradicts the map, and so do people, while it is where it is.
+const CONTRADICT_SURE: usize = 6;
+const NONE_AGREED_M: f64 = 10.0;
 
 /// What has come of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,6 +68,8 @@ pub(super) struct Probation {
     sees_around: bool,
     /// Whether it was in the map before: its frames count as placed until they are known not to be.
     was_anchored: bool,
+    /// The way up to the newest view that agreed, metres.
+    agreed_after_m: f64,
     /// Whether the newest views that said something agreed.
     newest: VecDeque<bool>,
     /// Views from elsewhere that agreed.
@@ -83,6 +89,7 @@ impl Probation {
             begun_after_m: way_m,
             sees_around: sees_around(seen),
             was_anchored: false,
+            agreed_after_m: way_m,
             newest: VecDeque::new(),
             agreed: 0,
             is_asked: false,
@@ -94,8 +101,9 @@ impl Probation {
         self.found.keyframe
     }
 
-    /// A view agrees that was taken there.
-    fn agree(&mut self, found: Relocalisation, at: FoundAt) {
+    /// A view agrees that was taken there, after so long a way since the robot was lost, metres.
+    fn agree(&mut self, found: Relocalisation, at: FoundAt, way_m: f64) {
+        self.agreed_after_m = way_m;
         let off = self.begun_at.inv_mul(&at.t_odom_base);
         let has_turned = !self.sees_around && off.rotation.angle() > TURNED;
         if off.translation.vector.norm() > self.elsewhere_m || has_turned {
@@ -117,14 +125,24 @@ impl Probation {
         }
     }
 
+    /// Whether enough other surroundings agree, or nobody has mapped them.
+    fn is_sure(&self, way_m: f64) -> bool {
+        self.agreed >= AGREE || way_m - self.begun_after_m >= UNSEEN * self.elsewhere_m
+    }
+
     /// What has come of it, after so long a way since the robot was lost, metres.
     fn verdict(&self, way_m: f64) -> Verdict {
         let contradict = self.newest.iter().filter(|agrees| !**agrees).count();
-        if contradict >= CONTRADICT {
-            return Verdict::Withdrawn;
+        let is_sure = self.is_sure(way_m);
+        let is_wrong = match self.agreed >= AGREE {
+            true => contradict >= CONTRADICT_SURE && way_m - self.agreed_after_m >= NONE_AGREED_M,
+            false => contradict >= CONTRADICT,
+        };
+        match (is_wrong, is_sure && contradict == 0) {
+            (true, _) => Verdict::Withdrawn,
+            (false, true) => Verdict::Confirmed,
+            (false, false) => Verdict::Open,
         }
-        let is_sure = self.agreed >= AGREE || way_m - self.begun_after_m >= UNSEEN * self.elsewhere_m;
-        if is_sure && contradict == 0 { Verdict::Confirmed } else { Verdict::Open }
     }
 }
 
@@ -179,7 +197,7 @@ impl MapGraph {
     /// Whether the robot was found, and is not certain to be there.
     pub(crate) fn is_on_probation(&self) -> bool {
         let probation = self.relocaliser.probation.as_ref();
-        probation.is_some_and(|p| p.verdict(self.relocaliser.way_m) != Verdict::Confirmed)
+        probation.is_some_and(|p| !p.is_sure(self.relocaliser.way_m))
     }
 
     /// What a view of a robot says that was found and is not certain to be there.
@@ -217,6 +235,7 @@ impl MapGraph {
         }
         let Some(probation) = &mut self.relocaliser.probation else { return };
         probation.is_asked = false;
+        let way_m = self.relocaliser.way_m;
         match evidence {
             Evidence::Agrees(found) => {
                 let in_map = se3::compose_covariance(&drift, &found.t_keyframe_base, &found.covariance);
@@ -224,7 +243,7 @@ impl MapGraph {
                 if let Some(at) = self.place_found(&found, at)
                     && let Some(probation) = &mut self.relocaliser.probation
                 {
-                    probation.agree(found, at);
+                    probation.agree(found, at, way_m);
                 }
             }
             Evidence::Contradicts => probation.contradict(),

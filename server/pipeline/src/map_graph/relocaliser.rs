@@ -29,9 +29,9 @@ const TRY_EVERY: u32 = 3;
 /// decimetres.
 const SAME_PLACE: (f64, f64) = (1.0, 0.5);
 
-/// Where it was found and is not it is not found again before it has driven so far, metres: as far as other surroundings are away at most
-/// ([`super::probation`]). A map that has changed in one place is known by others then.
-const WITHDRAWN_M: f64 = 10.0;
+/// Where it was found and is not it is not found again before it has driven so far, metres: what contradicted there is not what it sees then,
+/// and where a map has changed in one place it is known by others.
+const WITHDRAWN_M: f64 = 3.0;
 
 /// What an unanchored robot sees, or one that was found and is not certain to be there.
 pub(crate) struct UnanchoredView<'a> {

@@ -157,10 +157,15 @@ fn a_robot_that_only_localises_adds_nothing_to_the_map_until_it_may() {
 #[test]
 fn a_depth_camera_cannot_be_found_in_a_plan_but_starts_where_it_is_told_to_be() {
     let simulation = rooms(SensorSuite::only_depth_camera(), 2.0);
-    let mut pipeline = empty(&simulation, PipelineParams::default());
-    pipeline.take_given(plan(&simulation), Some(simulation.t_world_start())).unwrap();
-    feed(&mut pipeline, simulation.frames().map(|f| f.frame));
-    assert!(off(&pipeline, &simulation) < 0.05, "{}", off(&pipeline, &simulation));
+    for localisation_only in [false, true] {
+        let mut params = PipelineParams::default();
+        params.slam.localisation_only = localisation_only;
+        let mut pipeline = empty(&simulation, params);
+        let given = pipeline.take_given(plan(&simulation), Some(simulation.t_world_start())).unwrap();
+        feed(&mut pipeline, simulation.frames().map(|f| f.frame));
+        assert!(off(&pipeline, &simulation) < 0.05, "{}", off(&pipeline, &simulation));
+        assert_eq!(pipeline.snapshot().keyframes.len() == given.len(), localisation_only);
+    }
 }
 
 #[test]

@@ -158,7 +158,11 @@ impl<'a> Query<'a> {
                 Err(Refused::Contradicted) => return None,
                 // A view that leaves something open says nothing.
                 Err(Refused::Open) => {}
-                Err(Refused::Misfit) => against += 1,
+                Err(Refused::Misfit) if around.contradicts(scan, &(found.t_odom_base * t_now_then), &WITNESS) => {
+                    against += 1
+                }
+                // Nor does one that shows what nobody has seen.
+                Err(Refused::Misfit) => {}
             }
         }
         let (keyframe, t_keyframe_base) = around.seen_from(&found.t_odom_base)?;
@@ -179,6 +183,20 @@ impl<'a> Query<'a> {
         let leveling = self.r_level_base.unwrap_or_else(|| walls::leveling(nearest));
         Some(Pose::from_parts(Translation3::new(at.x, at.y, nearest.translation.z), turn * leveling))
     }
+}
+
+/// The views of the newest part of the way, as long as the lidar usually sees; none if that is most of it.
+pub(super) fn newest_part<'a, 'b>(
+    before: &'a [(Pose, &'b KeyframeScan)],
+    scan: &KeyframeScan,
+) -> Option<&'a [(Pose, &'b KeyframeScan)]> {
+    let part_m = before.iter().map(|(_, s)| range(s)).fold(range(scan), f64::max);
+    if way_m(before) < 2.0 * part_m {
+        return None;
+    }
+    let is_old = |k: usize| way_m(&before[k..]) > part_m;
+    let old = (0..before.len()).collect::<Vec<_>>().partition_point(|k| is_old(*k));
+    Some(&before[old..])
 }
 
 /// What a scan says of where it is believed to have been taken, base to map.

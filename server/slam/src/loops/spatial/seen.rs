@@ -50,8 +50,13 @@ impl Seen {
         poses: &KeyframePoses,
     ) -> Option<Relocalisation> {
         let before: Vec<_> = before.iter().map(|(t, s)| (*t, s.as_ref())).collect();
-        let query = Query::new(&before, scan, None);
-        query.find(&self.kept, &self.known(poses), (0.0, PI), &query.wanted()?)
+        let known = self.known(poses);
+        let find = |before: &[(Pose, &KeyframeScan)]| {
+            let query = Query::new(before, scan, None);
+            query.find(&self.kept, &known, (0.0, PI), &query.wanted()?)
+        };
+        // Most of what it saw may be where nobody has been before: the newest part of it is not, perhaps.
+        find(&before).or_else(|| find(query::newest_part(&before, scan)?))
     }
 
     /// What a scan says of where it is believed to have been taken ([`crate::loops::PlaceRecognition::check`]).
