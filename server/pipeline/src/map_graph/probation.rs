@@ -266,3 +266,6 @@ fn sees_around(scan: &KeyframeScan) -> bool {
     let sectors: BTreeSet<usize> = scan.hits.positions.iter().map(sector).collect();
     sectors.len() > 18
 }
+
+#[cfg(test)]
+mod tests;
