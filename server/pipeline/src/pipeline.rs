@@ -55,6 +55,8 @@ pub struct Pipeline {
     found_at: Option<FoundAt>,
     /// Where the robot starts in a map that was given, base to map, if that was told; until it does.
     start: Option<Pose>,
+    /// Whether the robot was on probation, by all that is stored of it, until it was seen again.
+    resumes_in_doubt: bool,
     /// As counted at the newest keyframe; the map counts itself.
     memory: SessionMemory,
 }
@@ -77,6 +79,7 @@ impl Pipeline {
             pose: None,
             found_at: None,
             start: None,
+            resumes_in_doubt: false,
             memory: SessionMemory::default(),
             params: Arc::new(params),
         })
@@ -149,9 +152,8 @@ impl Pipeline {
         let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
         self.pose = Some(pose.clone());
         self.keep_newest(view, &pose, is_anchored || is_tentative, seen);
-        // What is not certain is told in the trajectory once it is.
-        let is_told = is_anchored || (is_tentative && self.map_graph.counts_as_placed());
-        let trajectory = self.extend_trajectory(sensor, &pose, is_told, keyframe.as_ref());
+        // What is not certain counts as placed until it is taken back.
+        let trajectory = self.extend_trajectory(sensor, &pose, is_anchored || is_tentative, keyframe.as_ref());
         if is_anchored {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
         }
@@ -242,6 +244,7 @@ impl Pipeline {
         let frontend = &self.frontend;
         let (unanchored, is_anchored) = (frontend.tracking().unanchored(), frontend.tracking().is_anchored());
         let is_tentative = frontend.tracking().is_tentative();
+        let is_doubtful = is_doubtful || self.resumes_in_doubt;
         let only_localises = self.params.slam.localisation_only && estimate.state.is_tracking();
         if unanchored.is_none() && !is_tentative && !(is_anchored && (is_doubtful || only_localises)) {
             return estimate;
@@ -265,6 +268,7 @@ impl Pipeline {
             let in_map = self.covariance_of(&estimate);
             // After a restart it is somewhere near, perhaps.
             let was_placed = self.pose.as_ref().is_some_and(|p| p.state.is_tracking() && !p.is_tentative);
+            self.resumes_in_doubt = false;
             if self.map_graph.doubt(&seen, &in_map, !is_doubtful && was_placed) {
                 self.frontend.doubt();
             }

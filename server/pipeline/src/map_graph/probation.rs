@@ -66,8 +66,6 @@ pub(super) struct Probation {
     begun_after_m: f64,
     elsewhere_m: f64,
     sees_around: bool,
-    /// Whether it was in the map before: its frames count as placed until they are known not to be.
-    was_anchored: bool,
     /// The way up to the newest view that agreed, metres.
     agreed_after_m: f64,
     /// Whether the newest views that said something agreed.
@@ -88,12 +86,16 @@ impl Probation {
             elsewhere_m: (ELSEWHERE * usual_range_m(seen)).clamp(ELSEWHERE_M.0, ELSEWHERE_M.1),
             begun_after_m: way_m,
             sees_around: sees_around(seen),
-            was_anchored: false,
             agreed_after_m: way_m,
             newest: VecDeque::new(),
             agreed: 0,
             is_asked: false,
         }
+    }
+
+    /// Where it was found, if none of the newest views contradicts that.
+    pub(super) fn unopposed(&self) -> Option<(Relocalisation, FoundAt)> {
+        (!self.newest.contains(&false)).then(|| (self.found.clone(), self.at))
     }
 
     /// The keyframe by which a view was found that agreed, the newest such.
@@ -163,7 +165,7 @@ impl MapGraph {
         self.relocaliser.begin_anew();
         self.atlas.begin_anew();
         let agreed = if is_certain { AGREE } else { 0 };
-        let probation = Probation { agreed, was_anchored: true, ..Probation::new(found, at, &(view.kept)(), 0.0) };
+        let probation = Probation { agreed, ..Probation::new(found, at, &(view.kept)(), 0.0) };
         self.relocaliser.probation = Some(probation);
         self.gather(view);
         true
@@ -174,12 +176,6 @@ impl MapGraph {
         let living = self.keyframes.iter().filter(|k| k.merged.is_none());
         let from = living.map(|k| (k.id, k.t_map_base.inv_mul(t_map_base)));
         from.min_by(|a, b| a.1.translation.vector.norm().total_cmp(&b.1.translation.vector.norm()))
-    }
-
-    /// Whether frames of a robot that is on probation count as placed.
-    pub(crate) fn counts_as_placed(&self) -> bool {
-        let probation = self.relocaliser.probation.as_ref();
-        probation.is_some_and(|p| p.was_anchored || self.params.localisation_only)
     }
 
     /// Frames of a robot that is not where it was believed to be do not count as placed: those since the newest view that agreed, if it
@@ -238,6 +234,9 @@ impl MapGraph {
         let way_m = self.relocaliser.way_m;
         match evidence {
             Evidence::Agrees(found) => {
+                let believed = (self.t_map_odom * t_odom_base, probation.at.since(&t_odom_base, &covariance));
+                let Some(info) = self.keyframes.of(found.keyframe) else { return };
+                let found = fused(found, &info.t_map_base, &believed);
                 let in_map = se3::compose_covariance(&drift, &found.t_keyframe_base, &found.covariance);
                 let at = FoundAt { t_odom_base, of_odometry: covariance, in_map };
                 if let Some(at) = self.place_found(&found, at)
@@ -249,6 +248,19 @@ impl MapGraph {
             Evidence::Contradicts => probation.contradict(),
             Evidence::Nothing => {}
         }
+    }
+}
+
+/// A place as one view has measured it, made surer by where odometry has led to: base to map, and its covariance.
+fn fused(found: Relocalisation, t_map_keyframe: &Pose, believed: &(Pose, Covariance6)) -> Relocalisation {
+    let off = se3::log(&believed.0.inv_mul(&(t_map_keyframe * found.t_keyframe_base)));
+    let Some(inverse) = (believed.1 + found.covariance).try_inverse() else { return found };
+    let gain = believed.1 * inverse;
+    let covariance = (Covariance6::identity() - gain) * believed.1;
+    Relocalisation {
+        t_keyframe_base: t_map_keyframe.inv_mul(&(believed.0 * se3::exp(&(gain * off)))),
+        covariance: (covariance + covariance.transpose()) * 0.5,
+        ..found
     }
 }
 

@@ -208,9 +208,14 @@ impl MapGraph {
             return None;
         }
         if !state.is_tracking() {
-            // Odometry has begun anew: what was gathered hangs on nothing any more, and waits.
-            let gathered = self.relocaliser.begin_anew();
-            self.set_aside(gathered, view.kind, view.pose_sensor);
+            // Odometry has begun anew: what was gathered hangs on nothing any more, and waits, unless nothing spoke against where it was.
+            let unopposed = self.relocaliser.probation.as_ref().and_then(Probation::unopposed);
+            if let Some((found, at)) = unopposed.filter(|_| !self.params.localisation_only) {
+                self.join(&found, &at.t_odom_base, view.pose_sensor, update);
+            } else {
+                let gathered = self.relocaliser.begin_anew();
+                self.set_aside(gathered, view.kind, view.pose_sensor);
+            }
         }
         if let Some((found, at)) = self.relocaliser.take_found()
             && let Some(at) = self.place_found(&found, at)

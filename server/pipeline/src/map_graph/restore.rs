@@ -16,6 +16,8 @@ pub(crate) struct End {
     pub(crate) stamp: Timestamp,
     pub(crate) t_map_base: Pose,
     pub(crate) t_odom_base: Pose,
+    /// Base, seen from the keyframe that it hangs on.
+    pub(crate) t_anchor_base: Pose,
 }
 
 impl MapGraph {
@@ -66,6 +68,7 @@ impl MapGraph {
             stamp: entry.stamp,
             t_map_base: anchor.t_map_base * entry.t_anchor_base,
             t_odom_base: anchor.t_odom_base * entry.t_anchor_base,
+            t_anchor_base: entry.t_anchor_base,
         })
     }
 

@@ -7,6 +7,9 @@ use percept_geometry::Covariance6;
 use percept_mapping::given::is_given;
 use percept_slam::{OdometryKind, Scale, TrackingState};
 
+/// So many of the distances between keyframes from the last one is far.
+const FAR_KEYFRAMES: f64 = 3.0;
+
 impl Pipeline {
     /// Brings back what was stored; sensors must be declared before.
     pub fn restore(&mut self, restored: Restored) {
@@ -21,7 +24,7 @@ impl Pipeline {
             // A robot that only localises in a map that was given starts where it was.
             Some(end) if is_given(&end.sensor) => {
                 self.frontend.wait_to_be_found();
-                self.start = Some(end.t_map_base);
+                (self.start, self.resumes_in_doubt) = (Some(end.t_map_base), true);
             }
             Some(end) => self.resume(&end, &restored),
             None if !restored.keyframes.is_empty() => {
@@ -36,7 +39,10 @@ impl Pipeline {
     /// Takes up odometry where the trajectory ends, with the last keyframes as the local model.
     fn resume(&mut self, end: &End, restored: &Restored) {
         let graph = &self.map_graph;
-        let recent = match self.params.slam.localisation_only {
+        // Who maps leaves keyframes behind: a robot that is far from the last was on probation.
+        let far_m = FAR_KEYFRAMES * self.params.slam.odometry.keyframe.distance_m;
+        self.resumes_in_doubt = end.t_anchor_base.translation.vector.norm() > far_m;
+        let recent = match self.resumes_in_doubt || self.params.slam.localisation_only {
             // The newest ones are where it mapped last.
             true => graph.keyframes_near(&end.sensor, &end.t_odom_base),
             false => graph.recent_keyframes(&end.sensor),

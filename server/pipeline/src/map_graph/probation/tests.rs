@@ -63,7 +63,8 @@ fn three_views_that_contradict_are_enough_while_it_is_not_certain_and_not_afterw
     let told = [true, false, true, false, true, false].map(|agrees| robot.sees(agrees, true));
     assert_eq!(told.iter().position(|v| *v == Verdict::Withdrawn), Some(5));
     let mut robot = Robot::found();
-    (0..13).for_each(|_| drop(robot.sees(true, true)));
+    let verdicts: Vec<Verdict> = (0..13).map(|_| robot.sees(true, true)).collect();
+    assert_eq!(verdicts.last(), Some(&Verdict::Confirmed));
     // A room whose furniture was moved; with a view now and then that fits.
     assert!((0..40).all(|i| robot.sees(i % 10 == 9, true) != Verdict::Withdrawn));
     let until = (0..40).position(|_| robot.sees(false, true) == Verdict::Withdrawn);

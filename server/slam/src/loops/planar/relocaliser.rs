@@ -276,7 +276,8 @@ impl Verifying {
             Some((_, Err(Refused::Contradicted(_)))) => return self.decided(None),
             // A view that leaves something open says nothing, and neither does one that shows what nobody has seen.
             Some((_, Err(Refused::Open(..)))) | None => {}
-            Some((_, Err(_))) if map.contradicts(visits, scan, &t_map_then) => self.against += 1,
+            // Of another place that is enough for it not to be one.
+            Some((_, Err(_))) if self.place > 0 || map.contradicts(visits, scan, &t_map_then) => self.against += 1,
             Some((_, Err(_))) => {}
         }
         Progress::Unfinished

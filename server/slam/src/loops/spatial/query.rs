@@ -49,6 +49,15 @@ pub(super) struct Wanted {
     best: Strictness,
 }
 
+/// What views from the way say that do not fit a place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Misfits {
+    /// That it is not the place: enough where another one fits.
+    Count,
+    /// Nothing, unless they contradict what is known there: they may show what nobody has seen.
+    MaySayNothing,
+}
+
 /// Views from some metres of the path, searched for together.
 pub(super) struct Query<'a> {
     /// Oldest first, with base then seen from base now.
@@ -124,8 +133,10 @@ impl<'a> Query<'a> {
         let region = Region { center, rotation: heading.1, ..everywhere };
         let places = pyramid.optima(&query, &region, MIN_SCORE, (RIVAL, wanted.most));
         let mut places = places?.into_iter();
-        let best = self.verify(&places.next()?, scale, kept, known, &wanted.best)?;
-        places.all(|other| self.verify(&other, scale, kept, known, &NEWEST).is_none()).then_some(best)
+        let known = (kept, known);
+        let best = self.verify(&places.next()?, scale, known, (&wanted.best, Misfits::MaySayNothing))?;
+        let is_another = |fit: Fit| self.verify(&fit, scale, known, (&NEWEST, Misfits::Count)).is_some();
+        (!places.any(is_another)).then_some(best)
     }
 
     /// What stands upright along the newest part of the way, from above, base now level.
@@ -141,9 +152,8 @@ impl<'a> Query<'a> {
         &self,
         fit: &Fit,
         scale: f64,
-        kept: &BTreeMap<KeyframeId, Kept>,
-        poses: &BTreeMap<KeyframeId, Pose>,
-        newest: &Strictness,
+        (kept, poses): (&BTreeMap<KeyframeId, Kept>, &BTreeMap<KeyframeId, Pose>),
+        (newest, misfits): (&Strictness, Misfits),
     ) -> Option<Relocalisation> {
         let guess = self.upright(fit, scale, poses)?;
         let witnesses: Vec<&(Pose, &KeyframeScan)> =
@@ -158,11 +168,11 @@ impl<'a> Query<'a> {
                 Err(Refused::Contradicted) => return None,
                 // A view that leaves something open says nothing.
                 Err(Refused::Open) => {}
-                Err(Refused::Misfit) if around.contradicts(scan, &(found.t_odom_base * t_now_then), &WITNESS) => {
-                    against += 1
+                Err(Refused::Misfit) => {
+                    let t_map_then = found.t_odom_base * t_now_then;
+                    let counts = misfits == Misfits::Count || around.contradicts(scan, &t_map_then, &WITNESS);
+                    against += usize::from(counts);
                 }
-                // Nor does one that shows what nobody has seen.
-                Err(Refused::Misfit) => {}
             }
         }
         let (keyframe, t_keyframe_base) = around.seen_from(&found.t_odom_base)?;
