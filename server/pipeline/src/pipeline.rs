@@ -153,7 +153,8 @@ impl Pipeline {
         self.pose = Some(pose.clone());
         self.keep_newest(view, &pose, is_anchored || is_tentative, seen);
         // What is not certain counts as placed until it is taken back.
-        let trajectory = self.extend_trajectory(sensor, &pose, is_anchored || is_tentative, keyframe.as_ref());
+        let is_placed = is_anchored || (is_tentative && !pose.state.is_lost());
+        let trajectory = self.extend_trajectory(sensor, &pose, is_placed, keyframe.as_ref());
         if is_anchored {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
         }

@@ -18,7 +18,7 @@ use std::collections::{BTreeSet, VecDeque};
 /// How far it is from where the robot was found to other surroundings: so many times as far as it usually saw there, within these
 /// bounds, metres.
 const ELSEWHERE: f64 = 1.5;
-const ELSEWHERE_M: (f64, f64) = (2.0, 10.0);
+const ELSEWHERE_M: (f64, f64) = (2.0, 5.0);
 /// A sensor that does not see all around sees other surroundings where it has turned so far, radians: more than half of what it sees.
 const TURNED: f64 = 1.0;
 /// Views from elsewhere that have to agree.
