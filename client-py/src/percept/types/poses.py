@@ -105,8 +105,8 @@ class PoseEstimate(Value):
     waiting_message: str
     #: The robot was lost, and this frame found it again.
     relocalised: bool
-    #: The robot was found here, and may be in another place that looks alike: nothing that it sees enters the map
-    #: until other surroundings agree. Where they contradict the map it is lost again.
+    #: The robot was found here, and may be in another place that looks alike: nothing that it sees enters the
+    #: map until other surroundings agree. Where they contradict the map it is lost again.
     tentative: bool
     #: The second sensor that measured this pose, because the one that moves it is silent or sees nothing;
     #: None if that one did.
