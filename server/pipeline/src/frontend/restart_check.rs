@@ -9,7 +9,7 @@ use percept_geometry::Pose;
 use percept_slam::{OdometryEstimate, TrackingState};
 
 /// What both may differ by over a stretch: metres and radians, and shares of the way and of the turn. Wheels lie within a tenth of what
-/// was driven ([`percept_slam::unknown_wheels`]); a model that moves with the robot differs by all of it.
+/// was driven (`unknown_wheels` in `slam`); a model that moves with the robot differs by all of it.
 const TOLERATED: (f64, f64) = (0.1, 0.1);
 const TOLERATED_SHARE: f64 = 0.4;
 /// Stretches after which it is believed, and the way that one has to have, metres.
