@@ -164,12 +164,18 @@ fn with_map_of(rooms: &[usize], plan: &Plan) -> (Pipeline, Pose) {
     (second, se3::from_xy_yaw(x, y, yaw))
 }
 
-/// What is said of each frame: how far off, metres, none where it is lost.
-fn errors(pipeline: &mut Pipeline, t_world_map: &Pose, plan: &Plan, way: &[(f64, f64, f64)]) -> Vec<Option<f64>> {
+/// What is said of each frame: how far off, metres, none where it is lost; and the keyframes that there are then.
+fn errors(
+    pipeline: &mut Pipeline,
+    t_world_map: &Pose,
+    plan: &Plan,
+    way: &[(f64, f64, f64)],
+) -> Vec<(Option<f64>, usize)> {
     let told = frames(plan, way).zip(way).map(|(frame, (x, y, _))| {
         let pose = pipeline.process(&frame).unwrap().pose.unwrap();
         let at = (t_world_map * pose.t_map_base).translation.vector;
-        pose.state.is_tracking().then(|| (at.x - x).hypot(at.y - y))
+        let off = pose.state.is_tracking().then(|| (at.x - x).hypot(at.y - y));
+        (off, pipeline.snapshot().keyframes.len())
     });
     told.collect()
 }
@@ -191,8 +197,8 @@ fn a_robot_in_a_room_that_is_not_mapped_is_not_kept_in_the_one_that_looks_like_i
         (3.0, 4.0),
     ]);
     let way = drive(&stations);
-    let before = pipeline.snapshot().layers.occupancy;
-    let told = errors(&mut pipeline, &t_world_map, &plan, &way);
+    let given = pipeline.snapshot().keyframes.len();
+    let (told, keyframes): (Vec<_>, Vec<_>) = errors(&mut pipeline, &t_world_map, &plan, &way).into_iter().unzip();
     let is_wrong = |e: &Option<f64>| e.is_some_and(|e| e > 0.5);
     let last_wrong = told.iter().rposition(is_wrong).map_or(0, |i| i + 1);
     // It is known before the fourth room is left again.
@@ -201,8 +207,8 @@ fn a_robot_in_a_room_that_is_not_mapped_is_not_kept_in_the_one_that_looks_like_i
     assert!(told.iter().skip(last_wrong).flatten().all(|e| *e < 0.15));
     assert!(told.last().unwrap().is_some(), "it is found in the end");
     assert!(told.iter().filter(|e| e.is_some() && !is_wrong(e)).count() > 200);
-    let after = pipeline.snapshot().layers.occupancy;
-    assert!(after.num_known() >= before.num_known());
+    assert!(keyframes[..=last_wrong].iter().all(|n| *n == given), "it has drawn where it was not");
+    assert!(keyframes.last().is_some_and(|n| *n > given), "it maps once it is certain");
 }
 
 #[test]
@@ -212,7 +218,7 @@ fn a_robot_that_wakes_where_nobody_has_mapped_is_found_soon_after_it_comes_into_
     let plan = Plan::of_rooms(false);
     let way = drive(&[(15.0, 3.0), (14.7, 4.5), (13.2, 5.5), (15.0, 3.0), (15.0, 1.0), (20.0, 1.0), (21.0, 3.0)]);
     let told = errors(&mut pipeline, &t_world_map, &plan, &way);
-    let right = |e: &Option<f64>| e.is_some_and(|e| e < 0.15);
+    let right = |(e, _): &(Option<f64>, usize)| e.is_some_and(|e| e < 0.15);
     let out_of_the_room = way.iter().position(|at| at.1 < 1.05).unwrap();
     let found = told.iter().rposition(|e| !right(e)).map_or(0, |i| i + 1);
     assert!(found < out_of_the_room + 120, "{found} after {out_of_the_room}");
