@@ -163,7 +163,8 @@ impl LaserScan {
         (0..self.ranges_m.len()).map(|i| (i, self.beam(i))).chain(later)
     }
 
-    fn reading(&self, r: f32) -> Beam {
+    /// What a range says (REP-117); zero is no measurement, whatever the least range.
+    pub fn reading(&self, r: f32) -> Beam {
         // The limits as ranges are stored: 5.6 m as such is a little less.
         let (min, max) = (self.range_min_m as f32, self.range_max_m as f32);
         if r.is_nan() || r <= 0.0 || r < min {

@@ -36,7 +36,7 @@ pub use lookup::{LookupError, PoseAt};
 pub use map_graph::{MapChange, NewKeyframe};
 pub use params::{DetectionSettings, ParamsError, PipelineParams, SecondSensorParams, SlamParams};
 pub use percept_slam::{ImuFault, Loop, LoopId, LoopState};
-pub use pipeline::{FrameReport, NotEmpty, Pipeline, may_change};
+pub use pipeline::{FrameReport, NotEmpty, Pipeline, Told, may_change};
 pub use preset::Preset;
 pub use restored::{Restored, RestoredContent, RestoredKeyframe};
 pub use snapshot::{KeyframeInfo, Merged, PoseEstimate, SessionMemory, Snapshot, TrajectoryEntry};

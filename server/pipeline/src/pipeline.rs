@@ -8,10 +8,12 @@ mod revise;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod told;
 
 pub use given::NotEmpty;
 pub use report::FrameReport;
 pub use settings::may_change;
+pub use told::Told;
 
 use crate::frontend::{FoundAt, Frontend, Keyframe, Registered, View};
 use crate::live::{NewestFrames, Seen};
@@ -55,6 +57,8 @@ pub struct Pipeline {
     found_at: Option<FoundAt>,
     /// Where the robot starts in a map that was given, base to map, if that was told; until it does.
     start: Option<Pose>,
+    /// Where the robot is, base to map, if somebody has said so since the newest frame.
+    told: Option<Pose>,
     /// Whether the robot was on probation, by all that is stored of it, until it was seen again.
     resumes_in_doubt: bool,
     /// As counted at the newest keyframe; the map counts itself.
@@ -79,6 +83,7 @@ impl Pipeline {
             pose: None,
             found_at: None,
             start: None,
+            told: None,
             resumes_in_doubt: false,
             memory: SessionMemory::default(),
             params: Arc::new(params),
@@ -131,6 +136,8 @@ impl Pipeline {
         self.map_graph.prepare(kind);
         self.map_graph.move_without_scale(&moved);
         let mut update = MapUpdate::default();
+        let told = self.go_where_told((view, kind), &mut estimate, &mut update);
+        let is_placed_anew = matches!(told, Some(Told::Placed | Told::Believed));
         if !estimate.scale.is_metric() {
             self.map_graph.wait_for_scale(|| self.frontend.up(stamp), &estimate.t_odom_base);
         } else {
@@ -149,7 +156,8 @@ impl Pipeline {
         let keyframe = keyframe.map(|k| self.add(k, &view.scan, before_joined.as_ref()));
 
         estimate.state = self.frontend.told(&estimate);
-        let pose = PoseEstimate { led_by, ..self.pose_of(&estimate) };
+        let pose = self.pose_of(&estimate);
+        let pose = PoseEstimate { led_by, is_relocalised: pose.is_relocalised || is_placed_anew, ..pose };
         self.pose = Some(pose.clone());
         self.keep_newest(view, &pose, is_anchored || is_tentative, seen);
         // What is not certain counts as placed until it is taken back.
@@ -159,7 +167,7 @@ impl Pipeline {
             self.map_graph.look_for_parts(stamp, sensor, keyframe.as_ref().map(|k| k.info.id));
         }
         let MapUpdate { change: map, joined, mended, .. } = update;
-        FrameReport { pose: Some(pose), trajectory, keyframe, joined, mended, map }
+        FrameReport { pose: Some(pose), trajectory, keyframe, joined, mended, map, told }
     }
 
     /// A view of a second sensor adds to the map, and leads while the pose sensor is silent.

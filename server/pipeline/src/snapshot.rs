@@ -36,7 +36,7 @@ pub struct PoseEstimate {
     pub scale: Scale,
     /// What an odometry that needs several frames to begin is waiting for.
     pub waiting: Option<Waiting>,
-    /// Whether the robot was lost and this frame found it again.
+    /// Whether the robot was lost and this frame found it again, or it is where somebody said.
     pub is_relocalised: bool,
     /// Whether the robot was found here and may be in another place that looks alike: nothing enters the map until that is certain.
     pub is_tentative: bool,

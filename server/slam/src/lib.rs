@@ -30,7 +30,7 @@ pub use inertial::{ImuBuffer, ImuFault};
 pub use keyframe::{KeyframeParams, KeyframePolicy};
 pub use loops::{Evidence, LoopClosure, Relocalisation};
 pub use motion_prior::MotionPrior;
-pub use odometry::{Growth, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, way_m};
+pub use odometry::{Growth, Odometry, OdometryEstimate, OdometryKind, OdometryNoise, OdometryParams, ToldPlace, way_m};
 pub use param_error::ParamError;
 pub use scan::{CloudScan, DepthScan, ImageScan, PlanarScan, Scan, SecondCamera};
 pub use tracking::{LostReason, Scale, TrackingState, Waiting};

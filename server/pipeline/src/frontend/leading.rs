@@ -66,6 +66,7 @@ impl Frontend {
             odometry.seed(&led.t_odom_base, recent, stamp);
             self.odometry = Some(odometry);
             self.last_registered = Some(stamp);
+            self.comoving.forget_places();
         }
         self.second.pose_jumped();
     }

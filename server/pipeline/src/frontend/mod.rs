@@ -4,6 +4,7 @@
 //! Start with [`Frontend::take`] and [`Frontend::register`].
 
 mod clock_offset;
+mod comoving;
 mod extrinsics;
 mod floor_beams;
 mod imu_prior;
@@ -31,6 +32,7 @@ pub(crate) use view::{Found, Keyframe, Registered, View};
 pub use wheels_check::WheelsFault;
 
 use crate::{FrameError, SlamParams};
+use comoving::Comoving;
 use extrinsics::ExtrinsicsCheck;
 use motion::{MotionSensors, Prior};
 use nalgebra::{Unit, Vector3};
@@ -56,6 +58,7 @@ pub(crate) struct Frontend {
     tracking: Tracking,
     /// Local models that were begun anew, as wheels see them.
     restarts: Restarts,
+    comoving: Comoving,
     /// Whether the newest pose is in metres.
     is_metric: bool,
     /// Running mean of the inlier ratio of frames that were anchored in the map; 0 before the first.
@@ -82,6 +85,7 @@ impl Frontend {
             scale_hints: ScaleHints::default(),
             tracking: Tracking::default(),
             restarts: Restarts::default(),
+            comoving: Comoving::default(),
             is_metric: false,
             usual_inlier_ratio: 0.0,
             extrinsics: ExtrinsicsCheck::default(),
@@ -174,13 +178,20 @@ impl Frontend {
         let Prior { motion, wheels, imu } = self.motion.prior(since, stamp, second);
         let odometry = self.odometry.get_or_insert_with(|| Odometry::new(kind, self.params.odometry.clone()));
         let (t_odom_last, was_tracking) = (*odometry.t_odom_base(), odometry.is_tracking());
-        let estimate = odometry.register_with_imu(stamp, &view.scan, motion.as_ref(), imu);
-        let moves_along = self.restarts.compare(wheels.as_ref().map(|w| &w.0.t_prev_now), &estimate);
+        let trusted = wheels.as_ref().filter(|w| !w.are_blamed).map(|w| &w.t_prev_now);
+        let without = self.comoving.leave_out(&view.scan, trusted, &t_odom_last);
+        let (scan, motion) = match &without {
+            Some(without) => (&without.scan, without.prior(&t_odom_last).or(motion)),
+            None => (&view.scan, motion),
+        };
+        let estimate = odometry.register_with_imu(stamp, scan, motion.as_ref(), imu);
+        self.comoving.placed(Some((&t_odom_last, &estimate.t_odom_base)).filter(|_| estimate.state.is_tracking()));
+        let moves_along = self.restarts.compare(wheels.as_ref().map(|w| &w.t_prev_now), &estimate);
         let anew = moves_along.and_then(|(t_odom_base, told)| odometry.lead_to(&t_odom_base, &told, stamp));
         let moved_along = anew.is_some();
         let estimate = anew.unwrap_or(estimate);
         let (moved, num_unbelieved) = (odometry.take_moved(), odometry.num_imu_unbelieved());
-        self.restarts.follow(wheels.as_ref().map(|w| w.1), &estimate);
+        self.restarts.follow(wheels.as_ref().map(|w| w.are_proven), &estimate);
         if let Some(last) =
             since.filter(|_| was_tracking && estimate.state.is_tracking() && !self.restarts.is_comparing())
         {
@@ -236,6 +247,7 @@ impl Frontend {
     pub(crate) fn found(&mut self, found: Found) -> OdometryEstimate {
         if let Some(odometry) = found.odometry {
             self.odometry = Some(odometry);
+            self.comoving.forget_places();
         }
         self.tracking.found(&found.estimate, found.is_certain);
         self.second.pose_jumped();

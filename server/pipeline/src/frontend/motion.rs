@@ -37,10 +37,19 @@ pub(super) struct MotionSensors {
 /// What is known of the motion between two frames.
 pub(super) struct Prior<'a> {
     pub(super) motion: Option<MotionPrior>,
-    /// What wheels say of it, and whether these have proven themselves.
-    pub(super) wheels: Option<(MotionPrior, bool)>,
+    /// What wheels say of it.
+    pub(super) wheels: Option<ByWheels>,
     /// The one in use.
     pub(super) imu: Option<&'a ImuBuffer>,
+}
+
+/// What wheels say of a motion.
+pub(super) struct ByWheels {
+    pub(super) t_prev_now: Pose,
+    /// Whether enough was driven to say that they tell it well.
+    pub(super) are_proven: bool,
+    /// Whether they have contradicted what was measured.
+    pub(super) are_blamed: bool,
 }
 
 impl MotionSensors {
@@ -98,8 +107,14 @@ impl MotionSensors {
     /// What wheels, a second sensor and the chosen IMU say of the motion from one frame, if there was one before, to another.
     pub(super) fn prior(&self, from: Option<Timestamp>, to: Timestamp, second: Option<MotionPrior>) -> Prior<'_> {
         let wheels = from.and_then(|from| self.wheels.iter().find_map(|(id, w)| Some((id, w.between(from, to)?))));
-        let is_proven = |id: &SensorId| self.wheels_checks.get(id).is_some_and(WheelsCheck::is_proven);
-        let told = wheels.as_ref().map(|(id, told)| (told.clone(), is_proven(id)));
+        let told = wheels.as_ref().map(|(id, told)| {
+            let check = self.wheels_checks.get(id);
+            ByWheels {
+                t_prev_now: told.t_prev_now,
+                are_proven: check.is_some_and(WheelsCheck::is_proven),
+                are_blamed: check.is_some_and(|check| !check.faults().is_empty()),
+            }
+        });
         let wheels = wheels.map(|(_, told)| told);
         let imu = self.used_imu.as_ref().and_then(|id| self.imus.get(id));
         // Where others tell the turn, too, nothing is lost by waiting until the gyro has shown to be right.

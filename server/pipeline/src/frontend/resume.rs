@@ -1,8 +1,9 @@
 //! The front end goes on from what was stored.
 
+use super::restart_check::Restarts;
 use super::{Frontend, Tracking, View};
 use percept_geometry::{KeyframeScan, Pose, SensorId, SensorKind, Timestamp};
-use percept_slam::{Odometry, OdometryKind};
+use percept_slam::{Odometry, OdometryEstimate, OdometryKind, ToldPlace};
 use std::sync::Arc;
 
 impl Frontend {
@@ -37,17 +38,53 @@ impl Frontend {
         self.tracking = Tracking::lost_in_given();
     }
 
-    /// Begins at a pose that was told, with what the sensor is to see there as the local model. If there is nothing of the kind, the
-    /// pose is believed; if the view does not fit it, nothing is, and the robot is looked for as if nothing had been told.
-    pub(crate) fn start_at(&mut self, view: &View, t_odom_base: &Pose, near: &[(Pose, Arc<KeyframeScan>)]) {
+    /// Begins at a pose that was told, with what the sensor is to see there as the local model; what the view says of it. If there is
+    /// nothing of the kind, the pose is believed; if the view refutes it, nothing is, and the robot is looked for as if nothing had
+    /// been told.
+    pub(crate) fn start_at(
+        &mut self,
+        view: &View,
+        t_odom_base: &Pose,
+        near: &[(Pose, Arc<KeyframeScan>)],
+    ) -> Option<ToldPlace> {
         let mut odometry = Odometry::new(view.kind(), self.params.odometry.clone());
-        if !odometry.begin_at(t_odom_base, near, &view.scan, view.stamp) {
-            return;
+        let place = odometry.begin_at(t_odom_base, near, &view.scan, view.stamp);
+        if place != Some(ToldPlace::Refuted) {
+            self.odometry = Some(odometry);
         }
-        self.odometry = Some(odometry);
-        if near.is_empty() {
+        if place.is_none() {
             self.tracking = Tracking::Initialising;
         }
+        place
+    }
+
+    /// Where a view lies around a pose that was told, among what the sensor is to see there; none if it does not. Changes nothing.
+    pub(crate) fn look_at(
+        &self,
+        view: &View,
+        t_odom_base: &Pose,
+        near: &[(Pose, Arc<KeyframeScan>)],
+    ) -> Option<OdometryEstimate> {
+        let mut odometry = Odometry::new(view.kind(), self.params.odometry.clone());
+        if odometry.begin_at(t_odom_base, near, &view.scan, view.stamp) == Some(ToldPlace::Refuted) {
+            return None;
+        }
+        Some(odometry.register(view.stamp, &view.scan, None)).filter(|placed| placed.state.is_tracking())
+    }
+
+    /// Goes on where the robot is told to be, with what the sensor has seen there as the local model, or with this view if it has seen
+    /// nothing. Odom stays where it is.
+    pub(crate) fn go_on_at(&mut self, view: &View, estimate: &OdometryEstimate, near: &[(Pose, Arc<KeyframeScan>)]) {
+        let mut odometry = Odometry::new(view.kind(), self.params.odometry.clone());
+        odometry.seed(&estimate.t_odom_base, near, estimate.stamp);
+        if near.is_empty() {
+            odometry.register(estimate.stamp, &view.scan, None);
+        }
+        self.odometry = Some(odometry);
+        self.restarts = Restarts::default();
+        self.comoving.forget_places();
+        self.second.pose_jumped();
+        self.tracking = Tracking::resumed(estimate.t_odom_base, estimate.stamp);
     }
 }
 

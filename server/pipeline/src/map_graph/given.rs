@@ -67,6 +67,18 @@ impl MapGraph {
         self.map.keyframes().iter().filter_map(of).collect()
     }
 
+    /// What a sensor has seen around a place, or would see of a given map there, with odom poses.
+    pub(crate) fn seen_near(
+        &self,
+        kind: OdometryKind,
+        sensor: &SensorId,
+        t_odom_base: &Pose,
+    ) -> Vec<(Pose, Arc<KeyframeScan>)> {
+        let is_near = |(t, _): &(Pose, _)| (t.translation.vector - t_odom_base.translation.vector).norm() < NEAR_M;
+        let own = self.keyframes_near(sensor, t_odom_base).into_iter().filter(is_near);
+        self.given_near(kind, t_odom_base).into_iter().chain(own).collect()
+    }
+
     /// Base is so high above the ground, as the view of a given map tells in which it was found.
     pub(super) fn learn_height(&mut self, found: KeyframeId, t_keyframe_base: &Pose) {
         let is_upright_view = |scan: &Arc<KeyframeScan>| is_given(&scan.sensor) && !scan.planar;

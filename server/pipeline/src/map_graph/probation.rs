@@ -177,6 +177,18 @@ impl MapGraph {
         true
     }
 
+    /// The robot is told to be elsewhere: odom lies where it is by that. What was gathered waits.
+    pub(crate) fn go_elsewhere(&mut self, view: &UnanchoredView<'_>, t_map_base: &Pose, update: &mut MapUpdate) {
+        let Some((keyframe, t_keyframe_base)) = self.nearest_keyframe(t_map_base) else { return };
+        self.take_back(update);
+        let gathered = self.relocaliser.begin_anew();
+        if !self.params.localisation_only {
+            self.set_aside(gathered, view.kind, view.pose_sensor);
+        }
+        self.learn_height(keyframe, &t_keyframe_base);
+        self.place_odometry(keyframe, &(t_keyframe_base * view.estimate.t_odom_base.inverse()));
+    }
+
     /// The keyframe nearest to a pose in the map, and base seen from there.
     fn nearest_keyframe(&self, t_map_base: &Pose) -> Option<(KeyframeId, Pose)> {
         let living = self.keyframes.iter().filter(|k| k.merged.is_none());

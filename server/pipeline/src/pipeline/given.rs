@@ -5,6 +5,7 @@ use crate::NewKeyframe;
 use crate::frontend::View;
 use percept_geometry::Pose;
 use percept_mapping::given::GivenView;
+use percept_slam::ToldPlace;
 
 /// A map was given to a session that has one, or whose robot is under way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -38,6 +39,7 @@ impl Pipeline {
         let Some(start) = self.start.take() else { return };
         let t_odom_base = self.map_graph.t_map_odom().inverse() * start;
         let near = self.map_graph.given_near(kind, &t_odom_base);
-        self.frontend.start_at(view, &t_odom_base, &near);
+        let place = self.frontend.start_at(view, &t_odom_base, &near);
+        self.resumes_in_doubt |= place == Some(ToldPlace::Likely);
     }
 }

@@ -1,5 +1,6 @@
 //! What a frame did.
 
+use super::Told;
 use crate::{MapChange, NewKeyframe, PoseEstimate, TrajectoryEntry};
 
 /// What a frame did.
@@ -18,4 +19,6 @@ pub struct FrameReport {
     pub mended: Vec<TrajectoryEntry>,
     /// What changed besides, by what was begun at frames before.
     pub map: MapChange,
+    /// What became of a pose that was told before it.
+    pub told: Option<Told>,
 }

@@ -3,6 +3,7 @@
 // Helpers of tests may fail like tests.
 #![allow(clippy::unwrap_used)]
 
+mod along;
 mod beside;
 mod camera;
 mod correction;
@@ -12,10 +13,12 @@ mod given;
 mod imu;
 mod live;
 mod memory;
+mod plan;
 mod refusal;
 mod restore;
 mod second;
 mod second_look;
 mod sparse;
+mod told;
 mod twins;
 mod unanchored;

@@ -5,11 +5,11 @@
 
 mod hypotheses;
 
-use super::model::{LocalModel, Prediction, Registration};
+use super::model::{After, LocalModel, Prediction, Registration};
 use super::params::MotionLimits;
 use super::rhythm::Rhythm;
 use super::uncertainty::Uncertainty;
-use super::{OdometryEstimate, OdometryKind, OdometryParams};
+use super::{OdometryEstimate, OdometryKind, OdometryParams, ToldPlace};
 use crate::covariance::diagonal;
 use crate::inertial::{GyroCheck, ImuBuffer, Inertial, PlacedFrame};
 use crate::keyframe::{KeyframeParams, SweepMotion, keyframe_scan_seen_by};
@@ -295,19 +295,22 @@ impl LocalOdometry {
         self.unmeasured(stamp, TrackingState::Lost { reason: LostReason::Adrift })
     }
 
-    /// Moves to where a scan lies around a pose that was told; false if it cannot be said to lie there.
-    pub(super) fn settle(&mut self, scan: &Scan) -> bool {
+    /// Moves to where a scan lies around a pose that was told; how well that is known.
+    pub(super) fn settle(&mut self, scan: &Scan) -> ToldPlace {
         if self.model.prepare(scan, &Vector6::zeros()).is_err() {
-            return false;
+            return ToldPlace::Refuted;
         }
         let (way, turn) = TOLD;
         let around = Prediction::within(self.t_odom_base, diagonal(way / 3.0, turn / 3.0));
         match self.model.register(&around) {
-            Ok(found) if self.model.is_certain(&found) => {
+            Ok(found) if self.model.is_certain(&found, After::Word) => {
                 self.t_odom_base = found.t_odom_base;
-                true
+                match self.model.is_certain(&found, After::Gap) {
+                    true => ToldPlace::Certain,
+                    false => ToldPlace::Likely,
+                }
             }
-            _ => false,
+            _ => ToldPlace::Refuted,
         }
     }
 

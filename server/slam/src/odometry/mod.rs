@@ -25,7 +25,7 @@ use crate::tracking::{Scale, TrackingState, Waiting};
 use camera::CameraOdometry;
 pub use kind::OdometryKind;
 use local::LocalOdometry;
-pub(crate) use model::{Found, LocalModel, Prediction, Registration};
+pub(crate) use model::{After, Found, LocalModel, Prediction, Registration};
 use nalgebra::Vector6;
 pub use noise::{Growth, OdometryNoise, way_m};
 pub use params::{OdometryParams, TrackingParams};
@@ -55,6 +55,17 @@ pub struct OdometryEstimate {
     pub scale: Scale,
     /// What a method that needs several frames to begin is waiting for.
     pub waiting: Option<Waiting>,
+}
+
+/// What a scan says of where somebody says that base is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ToldPlace {
+    /// It can hardly be elsewhere.
+    Certain,
+    /// It fits, but for much that stands in the way.
+    Likely,
+    /// It does not fit there, or contradicts what was seen there.
+    Refuted,
 }
 
 /// Odometry of one sensor: deterministic, no clock, no I/O; parallel on rayon's current pool.
@@ -244,20 +255,20 @@ impl Odometry {
         Some(estimate)
     }
 
-    /// Begins in a map where somebody says that base is: `near` views of it with their poses in odom become the local model. False
-    /// if `scan`, taken at `stamp`, does not fit there, or contradicts what these views looked through: then this odometry is of
-    /// no use. A camera alone, which has no local model, is believed.
+    /// Begins in a map where somebody says that base is: `near` views of it with their poses in odom become the local model, and `scan`,
+    /// taken at `stamp`, says how well it fits there; none where there is nothing to be compared with, and the word is believed. Refuted,
+    /// this odometry is of no use. A camera alone, which has no local model, is believed.
     pub fn begin_at(
         &mut self,
         t_odom_told: &Pose,
         near: &[(Pose, Arc<KeyframeScan>)],
         scan: &Scan,
         stamp: Timestamp,
-    ) -> bool {
+    ) -> Option<ToldPlace> {
         self.seed(t_odom_told, near, stamp);
         match &mut self.method {
-            Method::Local(local) => near.is_empty() || local.settle(scan),
-            Method::Camera(_) => true,
+            Method::Local(local) if !near.is_empty() => Some(local.settle(scan)),
+            Method::Local(_) | Method::Camera(_) => None,
         }
     }
 }

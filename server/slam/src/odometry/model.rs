@@ -82,6 +82,15 @@ pub(crate) struct SweepFound {
     pub(crate) elapsed: f64,
 }
 
+/// What a frame follows that is to fit without the one before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum After {
+    /// A time in which the robot may have been carried off.
+    Gap,
+    /// Somebody's word of where it is.
+    Word,
+}
+
 /// What a method brings: a local model that frames are placed in and then added to.
 pub(crate) trait LocalModel: Send {
     /// How base moves while the frames to come are taken, as an IMU felt it; none where none did.
@@ -101,8 +110,9 @@ pub(crate) trait LocalModel: Send {
     /// The current frame lies there, and was expected at a pose in odom: what that teaches the method, before the frame is
     /// added.
     fn believe(&mut self, _placed: &Registration, _t_odom_expected: &Pose) {}
-    /// Whether the current frame, placed after a time without any, fits so well that it can hardly be elsewhere.
-    fn is_certain(&self, _placed: &Registration) -> bool {
+    /// Whether the current frame, placed after a time without any, fits so well that it can hardly be elsewhere; or so well, of much
+    /// of which people may stand in the way, that it is where somebody says.
+    fn is_certain(&self, _placed: &Registration, _after: After) -> bool {
         true
     }
     /// Base's velocity (m/s, rad/s) while the current frame was taken, where placing frames finds that too.

@@ -19,7 +19,7 @@ use crate::deskew;
 use crate::downsample::Thinner;
 use crate::inertial::Curve;
 use crate::odometry::model::SweepFound;
-use crate::odometry::{Found, LocalModel, Prediction, Registration};
+use crate::odometry::{After, Found, LocalModel, Prediction, Registration};
 use crate::param_error::{ParamError, check_range};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
@@ -133,6 +133,8 @@ const COMPARED: usize = 10;
 /// may contradict of what both saw, and least share that both saw. In simulated buildings, robots that had driven on for
 /// 5 s in the dark had 0.95 and more, 0.02 and less; carried to another room 0.99 and less, 0.035 and more.
 const AFTER_GAP: (f64, f64, f64) = (0.6, 0.03, 0.25);
+/// The same where somebody says that it is there: as of planar lidars.
+const AGAINST_WORD: f64 = 0.2;
 
 /// A scan of the local map.
 struct Kept {
@@ -393,13 +395,14 @@ impl LocalModel for Lidar3d {
         self.trim(t_odom_base);
     }
 
-    fn is_certain(&self, placed: &Registration) -> bool {
+    fn is_certain(&self, placed: &Registration, after: After) -> bool {
         let velocity = match &placed.found {
             Found::Sweep(found) => found.velocity,
             _ => self.velocity,
         };
         let against = self.contradicted(&placed.t_odom_base, &velocity);
         let (inliers, most, compared) = AFTER_GAP;
+        let most = if after == After::Word { AGAINST_WORD } else { most };
         placed.inlier_ratio >= inliers && against.share() <= most && against.compared() >= compared
     }
 

@@ -3,7 +3,7 @@
 use super::LocalOdometry;
 use crate::covariance::diagonal;
 use crate::motion_prior::{MotionPrior, UNKNOWN_VARIANCE};
-use crate::odometry::{Prediction, Registration};
+use crate::odometry::{After, Prediction, Registration};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
 use nalgebra::Vector6;
@@ -209,7 +209,9 @@ impl LocalOdometry {
         }
         let off = se3::log(&prediction.t_odom_base.inv_mul(&found.t_odom_base));
         let is_seen = |k: usize| !found.degenerate_axes[k] || off[k].abs() < 3.0 * prediction.covariance[(k, k)].sqrt();
-        (0..6).all(is_seen) && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio && self.model.is_certain(found)
+        (0..6).all(is_seen)
+            && found.inlier_ratio >= DOUBTFUL * self.usual_inlier_ratio
+            && self.model.is_certain(found, After::Gap)
     }
 
     /// Undoes the sweep's motion again where it was other than assumed, and places the scan once more. A turn about z that was
@@ -282,7 +284,11 @@ impl LocalOdometry {
             return Err(LostReason::MotionTooLarge);
         }
         // Meanwhile somebody may have carried the robot to a place that resembles the old one.
-        if self.is_after_gap(dt) && !self.model.is_certain(&found) { Err(LostReason::TimeGap) } else { Ok(found) }
+        if self.is_after_gap(dt) && !self.model.is_certain(&found, After::Gap) {
+            Err(LostReason::TimeGap)
+        } else {
+            Ok(found)
+        }
     }
 }
 
@@ -337,7 +343,7 @@ mod tests {
                 found: Found::PoseAlone,
             })
         }
-        fn is_certain(&self, _: &Registration) -> bool {
+        fn is_certain(&self, _: &Registration, _: After) -> bool {
             self.is_certain
         }
         fn integrate(&mut self, _: &Pose) {

@@ -18,7 +18,7 @@ pub(crate) mod window;
 
 use crate::color_camera::ColorCamera;
 use crate::inertial::PoseFactor;
-use crate::odometry::{Found, LocalModel, Prediction, Registration};
+use crate::odometry::{After, Found, LocalModel, Prediction, Registration};
 use crate::param_error::{ParamError, check_range};
 use crate::scan::Scan;
 use crate::tracking::LostReason;
@@ -123,6 +123,8 @@ const SURE_M: f64 = 0.05;
 /// is.
 const MIN_MET: f64 = 0.3;
 const MAX_WRONG_AFTER_GAP: f64 = 0.04;
+/// The same where somebody says that it is there: as of planar lidars.
+const MAX_WRONG_AFTER_WORD: f64 = 0.2;
 /// And how its brightness has to go with the model's: another place's does not at all, the same one's mostly by nine
 /// tenths. Halved and doubled as those before.
 const MIN_ALIKE: f64 = 0.5;
@@ -342,16 +344,17 @@ impl LocalModel for Rgbd {
         }
     }
 
-    fn is_certain(&self, placed: &Registration) -> bool {
+    fn is_certain(&self, placed: &Registration, after: After) -> bool {
         let (Some(camera), Found::View(found)) = (self.preparer.pinhole, &placed.found) else { return false };
         let ViewFound { view, frame, .. } = &**found;
         let t_view_camera = view.t_odom_view.inv_mul(&(placed.t_odom_base * self.t_base_camera));
         let (wrong, all) = moving::contradictions(frame, view, &camera, &t_view_camera);
         let valid = frame.num_valid as f64;
+        let most = if after == After::Word { MAX_WRONG_AFTER_WORD } else { MAX_WRONG_AFTER_GAP };
         // Bare surfaces of one room fit another's, as they are and turned about.
         let looks_alike = || self.photometric(&camera, view).correlation(frame, &camera, &t_view_camera);
         all as f64 > MIN_MET * valid
-            && (wrong as f64) < MAX_WRONG_AFTER_GAP * all as f64
+            && (wrong as f64) < most * all as f64
             && (!self.is_lit() || looks_alike().is_some_and(|c| c > MIN_ALIKE))
     }
 
