@@ -34,6 +34,7 @@ RULES = {
     "SessionsService/ListRecordings": (READ, True),
     "SessionsService/DeleteRecording": (ADMIN, True),
     "SessionsService/GetPose": (READ, True),
+    "SessionsService/SetPose": (WRITE, True),
     "SessionsService/LookupTransform": (READ, True),
     "SessionsService/GetTrajectory": (READ, True),
     "SessionsService/ListKeyframes": (READ, True),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import struct
 import subprocess
@@ -157,6 +158,32 @@ def test_a_goal_comes_back_as_a_path_or_with_the_reason_why_there_is_none(server
         of_odom = ros2.pose_stamped(world.stamp(0), "odom", goal)
         foxglove.publish("/goal_pose", "geometry_msgs/msg/PoseStamped", of_odom)
         assert "frame" in foxglove.status()
+
+
+def test_where_the_robot_is_said_to_be_it_is_if_what_it_sees_fits(server, mapped):
+    session, poses = mapped
+    schema = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+    def say(foxglove: Foxglove, frame: str, of: Pose) -> None:
+        message = ros2.STORE.serialize_cdr(ros2.pose_estimate(frame, of), schema)
+        foxglove.publish("/initialpose", schema, bytes(message))
+
+    truth = Pose.from_matrix(world.truth_in_map([poses[0], poses[-1]])[1])
+    with Foxglove(server.rest, session.session_id) as foxglove:
+        say(foxglove, "odom", truth)
+        assert "frame" in foxglove.status()
+        stamps = itertools.count(FRAMES)
+
+        def stand() -> bool:
+            session.send_scan("laser", stamp_ns=world.stamp(next(stamps)), **world.scan(poses[-1]))
+            return session.pose().tentative
+
+        say(foxglove, "map", Pose.from_matrix(truth.matrix @ Pose.from_xy_yaw(0.0, 0.0, 1.6).matrix))
+        assert not any(stand() for _ in range(30))
+        assert "does not fit" in foxglove.status()
+        say(foxglove, "map", Pose.from_matrix(truth.matrix @ Pose.from_xy_yaw(0.3, 0.1, 0.1).matrix))
+        assert eventually(stand)
+        assert world.position_error_m(session.pose().t_map_base, truth.matrix) < 0.08
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,7 @@ REQUESTS = {
     "SessionsService/ListRecordings": (lambda s: of_session(s) | {"page_size": 1000}, False),
     "SessionsService/DeleteRecording": (lambda s: of_session(s) | {"recording_id": "1"}, False),
     "SessionsService/GetPose": (of_session, False),
+    "SessionsService/SetPose": (lambda s: of_session(s) | {"t_map_base": {"rotation": {"w": 1.0}}}, False),
     "SessionsService/GetTrajectory": (of_session, False),
     "SessionsService/ListKeyframes": (of_session, False),
     "SessionsService/WatchSession": (of_session, False),

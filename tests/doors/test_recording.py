@@ -77,6 +77,51 @@ def test_a_session_is_recorded_as_others_read_it_and_replays_to_the_same_way(sta
     assert np.abs(again[:, 1:4] - went.positions).max() < 1e-6
 
 
+def test_a_recording_is_replayed_with_the_parameters_of_its_session(start, tmp_path):
+    folder = tmp_path / "recorded"
+    server, client = start("--record", str(folder))
+    keyframe = {"distance_m": 0.07, "angle_rad": 0.05}
+    params = {"map": {"resolution_m": 0.1}, "slam": {"odometry": {"keyframe": keyframe}}}
+    session = client.sessions.create(sensors=[world.LASER], params=params)
+    scans(session, range(20))
+    session.update(params={"detection": {"enabled": False}})
+    scans(session, range(20, 24))
+    went, keyframes = session.trajectory(), session.info().num_keyframes
+    assert server.stop() == 0
+    recording = only(folder, session.session_id)
+
+    def run(*arguments: str) -> tuple[dict, str]:
+        command = [binary(), *arguments, "--json"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout), done.stderr
+
+    out = tmp_path / "again"
+    report, said = run("replay", recording, "--out", out)
+    assert report["keyframes"] == keyframes
+    assert "resolution: 0.1" in (out / "map.yaml").read_text()
+    assert "distance_m = 0.07" in said
+    assert "changed while it was recorded" in said
+    again = np.loadtxt(out / "trajectory.tum")
+    assert np.abs(again[:, 1:4] - went.positions).max() < 1e-6
+    assert any("distance_m = 0.07" in note for note in run("info", recording)[0]["notes"])
+    by_default, _ = run("replay", recording, "--default-params")
+    assert by_default["keyframes"] < keyframes
+
+    # Into a server, too; and a recording that begins later tells what it lacks.
+    server, client = start("--record", str(tmp_path / "second"))
+    run("replay", recording, "--server", server.grpc, "--session", "again")
+    played = client.session("again")
+    assert played.info().params["slam"]["odometry"]["keyframe"]["distance_m"] == pytest.approx(0.07)
+    assert played.info().num_keyframes == keyframes
+    played.recordings.stop()
+    played.recordings.start()
+    scans(played, range(24, 26))
+    assert server.stop() == 0
+    newest = sorted((tmp_path / "second" / "default" / "again").iterdir(), key=lambda p: int(p.name))[-1]
+    assert f"had a map of {keyframes} keyframes" in run("info", newest)[0]["notes"][-1]
+
+
 def test_sleep_ends_a_recording_and_waking_begins_another(start, tmp_path):
     folder = tmp_path / "recorded"
     config = tmp_path / "percept.toml"

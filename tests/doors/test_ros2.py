@@ -321,6 +321,20 @@ def test_a_goal_is_answered_by_a_path_and_the_map_of_others_is_left_to_them(tmp_
             assert (at.x, at.y) == pytest.approx((0.5, 0.0))
             start, here = plan.poses[0].pose.position, session.pose().t_map_base.translation
             assert np.hypot(start.x - here[0], start.y - here[1]) < 0.1
+            here = session.pose().t_map_base
+            turned = Pose.from_matrix(here.matrix @ Pose.from_xy_yaw(0.0, 0.0, 1.6).matrix)
+            number = first + 25
+            # The first one may be sent before it is listened to.
+            for _ in range(2):
+                robot.publish("/initialpose", ros2.pose_estimate("map", turned))
+                number = stand(client, robot, world.drive(25)[-1], first=number, seconds=1.0)
+            assert "POSE_REFUTED" in server.tail()
+            assert not session.pose().tentative
+            near = Pose.from_matrix(here.matrix @ Pose.from_xy_yaw(0.2, 0.1, 0.1).matrix)
+            robot.publish("/initialpose", ros2.pose_estimate("map", near))
+            stand(client, robot, world.drive(25)[-1], first=number, seconds=1.0)
+            assert session.pose().tentative
+            assert np.linalg.norm(session.pose().t_map_base.translation - here.translation) < 0.1
             assert paths.newest().poses
             assert boxes.newest() is not None
             assert "somebody else publishes the map" in server.tail()

@@ -117,6 +117,12 @@ def pose_stamped(ns: int, frame: str, of: Pose) -> bytes:
     return bytes(STORE.serialize_cdr(message, "geometry_msgs/msg/PoseStamped"))
 
 
+def pose_estimate(frame: str, of: Pose) -> Any:
+    """As RViz' "2D Pose Estimate" publishes it."""
+    with_covariance = T["geometry_msgs/msg/PoseWithCovariance"](pose=pose(of), covariance=np.zeros(36))
+    return T["geometry_msgs/msg/PoseWithCovarianceStamped"](header=header(0, frame), pose=with_covariance)
+
+
 def image(ns: int, frame: str, pixels: np.ndarray, encoding: str) -> Any:
     return T["sensor_msgs/msg/Image"](
         header=header(ns, frame),

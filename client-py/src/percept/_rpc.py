@@ -73,6 +73,7 @@ DELETE_RECORDING = Rpc(
     repeatable=False,
 )
 GET_POSE = Rpc(_S, "GetPose", sessions.GetPoseRequest, sessions.GetPoseResponse)
+SET_POSE = Rpc(_S, "SetPose", sessions.SetPoseRequest, sessions.SetPoseResponse)
 LOOKUP_TRANSFORM = Rpc(
     _S, "LookupTransform", sessions.LookupTransformRequest, sessions.LookupTransformResponse
 )

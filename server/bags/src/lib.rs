@@ -16,5 +16,5 @@ mod walk;
 mod writer;
 
 pub use error::{BagError, Warning};
-pub use recording::{Messages, RecordedMessage, Recording, Topic};
+pub use recording::{ABOUT, Messages, RecordedMessage, Recording, Topic};
 pub use writer::{ChannelId, Writer};

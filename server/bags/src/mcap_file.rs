@@ -2,6 +2,7 @@
 
 use crate::block::Compression;
 use crate::walk::{Container, Fields, Frame, Record, nanos};
+use std::collections::BTreeMap;
 
 pub(crate) struct Mcap;
 
@@ -9,6 +10,7 @@ const SCHEMA: u8 = 3;
 const CHANNEL: u8 = 4;
 const MESSAGE: u8 = 5;
 const CHUNK: u8 = 6;
+const METADATA: u8 = 12;
 const DATA_END: u8 = 15;
 const FOOTER: u8 = 2;
 /// Opcode and length.
@@ -33,6 +35,7 @@ impl Container for Mcap {
             CHANNEL => channel(&mut fields),
             MESSAGE => message(&mut fields),
             CHUNK => chunk(record.len(), &mut fields),
+            METADATA => metadata(&mut fields),
             DATA_END | FOOTER => Some(Record::End),
             _ => Some(Record::Other),
         };
@@ -47,6 +50,15 @@ fn schema<'a>(fields: &mut Fields<'a>) -> Option<Record<'a>> {
 fn channel<'a>(fields: &mut Fields<'a>) -> Option<Record<'a>> {
     let (id, schema) = (fields.u16()?.into(), fields.u16()?.into());
     Some(Record::Channel { id, schema, topic: fields.text()?, type_name: None, encoding: fields.text()? })
+}
+
+fn metadata<'a>(fields: &mut Fields<'a>) -> Option<Record<'a>> {
+    let name = fields.text()?;
+    let (mut map, mut entries) = (Fields(fields.bytes()?), BTreeMap::new());
+    while !map.0.is_empty() {
+        entries.insert(map.text()?, map.text()?);
+    }
+    Some(Record::Metadata { name, entries })
 }
 
 fn message<'a>(fields: &mut Fields<'a>) -> Option<Record<'a>> {

@@ -14,6 +14,11 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// The name under which percept's own recordings say of what session they are ([`Recording::metadata`]).
+pub const ABOUT: &str = "percept";
+/// Records that say something of a recording as a whole, at most: what there is more is passed over.
+const MOST_METADATA: usize = 1000;
+
 /// A topic of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Topic {
@@ -94,6 +99,7 @@ pub struct Recording {
     topics: Vec<Topic>,
     warnings: Vec<Warning>,
     parts: Vec<Part>,
+    metadata: Vec<(String, BTreeMap<String, String>)>,
     /// With the index of their file, by the time of their first message.
     places: Vec<(usize, Place)>,
 }
@@ -104,7 +110,7 @@ impl Recording {
     /// # Errors
     /// `Io`, `Unrecognised` or `Packed` (by the first bytes, whatever the name), `Empty` (a folder without any), `Sqlite`.
     pub fn open(path: &Path) -> Result<Arc<Self>, BagError> {
-        let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], places: vec![] };
+        let mut recording = Self { topics: vec![], warnings: vec![], parts: vec![], metadata: vec![], places: vec![] };
         for file in files(path)? {
             recording.add(file)?;
         }
@@ -115,6 +121,13 @@ impl Recording {
     /// The topics, in the order in which they were found.
     pub fn topics(&self) -> &[Topic] {
         &self.topics
+    }
+
+    /// What is said of the recording as a whole under a name ([`Writer::add_metadata`]), in the order in which it was written.
+    ///
+    /// [`Writer::add_metadata`]: crate::Writer::add_metadata
+    pub fn metadata<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a BTreeMap<String, String>> {
+        self.metadata.iter().filter(move |(of, _)| of == name).map(|(_, entries)| entries)
     }
 
     /// What was passed over: damage, cut ends, compressions that are not known.
@@ -293,7 +306,10 @@ impl Recording {
                 tally.last = tally.last.max(log_time);
                 *first = Some(first.map_or(log_time, |first| first.min(log_time)));
             }
-            Record::Chunk { .. } | Record::End | Record::Other => {}
+            Record::Metadata { name, entries } if self.metadata.len() < MOST_METADATA => {
+                self.metadata.push((name, entries));
+            }
+            Record::Metadata { .. } | Record::Chunk { .. } | Record::End | Record::Other => {}
         }
     }
 }

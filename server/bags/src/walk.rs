@@ -1,6 +1,7 @@
 //! What both containers have in common: records one after another, some of which hold packed blocks of records.
 
 use crate::block::{Block, Compression};
+use std::collections::BTreeMap;
 
 /// A record, as far as anybody here cares.
 #[derive(Debug, PartialEq)]
@@ -13,6 +14,8 @@ pub(crate) enum Record<'a> {
     Message { channel: u32, log_time: i64, publish_time: i64, bytes: &'a [u8] },
     /// Packed records: where they lie in the record, and how they are packed; none if that is not known.
     Chunk { offset: usize, num_bytes: u64, compression: Result<Compression, String> },
+    /// Something that is said of the recording as a whole (MCAP): its name, and names and values.
+    Metadata { name: String, entries: BTreeMap<String, String> },
     /// Nothing follows that has to be read.
     End,
     /// Another one.

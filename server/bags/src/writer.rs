@@ -132,6 +132,7 @@ pub struct Writer {
     chunk_indexes: Vec<u8>,
     num_chunks: u32,
     metadata_index: Vec<u8>,
+    num_metadata: u32,
 }
 
 impl Writer {
@@ -164,14 +165,31 @@ impl Writer {
             chunk_indexes: vec![],
             num_chunks: 0,
             metadata_index: vec![],
+            num_metadata: 0,
         };
         writer.put(MAGIC)?;
         writer.put(&Content::default().bytes(b"ros2").bytes(b"percept").record(HEADER))?;
-        let metadata = Content::default().bytes(METADATA_NAME).bytes(&[]).record(METADATA);
-        let entry = Content::default().u64(writer.position).u64(metadata.len() as u64).bytes(METADATA_NAME);
-        writer.metadata_index = entry.record(METADATA_INDEX);
-        writer.put(&metadata)?;
+        writer.metadata(METADATA_NAME, &[])?;
         Ok(writer)
+    }
+
+    /// Says something of the recording as a whole: names and values, under a name of their own ([`Recording::metadata`]).
+    ///
+    /// [`Recording::metadata`]: crate::Recording::metadata
+    ///
+    /// # Errors
+    /// `Io`.
+    pub fn add_metadata(&mut self, name: &str, entries: &BTreeMap<String, String>) -> Result<(), BagError> {
+        let map = entries.iter().fold(Content::default(), |map, (k, v)| map.bytes(k.as_bytes()).bytes(v.as_bytes()));
+        self.metadata(name.as_bytes(), &map.0)
+    }
+
+    fn metadata(&mut self, name: &[u8], entries: &[u8]) -> Result<(), BagError> {
+        let metadata = Content::default().bytes(name).bytes(entries).record(METADATA);
+        let entry = Content::default().u64(self.position).u64(metadata.len() as u64).bytes(name);
+        self.metadata_index.extend(entry.record(METADATA_INDEX));
+        self.num_metadata += 1;
+        self.put(&metadata)
     }
 
     /// Adds a topic whose messages are CDR: its type, `sensor_msgs/msg/LaserScan`, and that type's definition as `.msg` text
@@ -281,7 +299,8 @@ impl Writer {
         let (first, last) = self.span.ends();
         let statistics =
             Content::default().u64(num_messages).u16(self.schemas.len() as u16).u32(self.counts.len() as u32);
-        let statistics = statistics.u32(0).u32(1).u32(self.num_chunks).u64(first).u64(last).bytes(&map.0);
+        let statistics =
+            statistics.u32(0).u32(self.num_metadata).u32(self.num_chunks).u64(first).u64(last).bytes(&map.0);
         self.put(&statistics.record(STATISTICS))?;
         let chunk_indexes = std::mem::take(&mut self.chunk_indexes);
         self.put(&chunk_indexes)?;

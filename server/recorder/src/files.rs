@@ -2,7 +2,7 @@
 
 use crate::messages::{self, Encoded, Unwritable};
 use crate::names::Names;
-use percept_bags::{BagError, ChannelId, Writer};
+use percept_bags::{ABOUT, BagError, ChannelId, Writer};
 use percept_geometry::{Covariance6, Pose, SensorFrame, SensorSpec, Timestamp};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,6 +60,8 @@ pub(crate) struct Files {
     t_base_sensors: BTreeMap<String, Pose>,
     /// Whether mounts are known that the file does not have.
     are_mounts_due: bool,
+    /// What is said of the recording as a whole.
+    about: BTreeMap<String, String>,
     num_messages: u64,
     /// Of the files before.
     num_bytes_before: u64,
@@ -83,6 +85,7 @@ impl Files {
             names: Names::default(),
             t_base_sensors: BTreeMap::new(),
             are_mounts_due: false,
+            about: BTreeMap::new(),
             num_messages: 0,
             num_bytes_before: 0,
         }
@@ -123,6 +126,12 @@ impl Files {
         covariance: Option<&Covariance6>,
     ) -> Result<(), WriteError> {
         self.write(stamp, messages::of_pose(stamp, t_map_base, covariance)?)
+    }
+
+    /// Says something of the recording as a whole.
+    pub(crate) fn about(&mut self, entries: &BTreeMap<String, String>) -> Result<(), WriteError> {
+        self.about.clone_from(entries);
+        Ok(self.writer.add_metadata(ABOUT, entries)?)
     }
 
     /// Hands what was written to the system.
@@ -176,6 +185,9 @@ impl Files {
         self.channels.clear();
         self.are_mounts_due = !self.t_base_sensors.is_empty();
         self.num_bytes_before += before.finish()?;
+        if !self.about.is_empty() {
+            self.writer.add_metadata(ABOUT, &self.about)?;
+        }
         Ok(())
     }
 }

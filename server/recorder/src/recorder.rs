@@ -4,7 +4,7 @@ use crate::files::{Files, WriteError, is_disk_full};
 use crate::room::{Place, SharedRoom};
 use crate::{RecordError, RecordingState};
 use percept_geometry::{Covariance6, Pose, SensorData, SensorFrame, SensorSpec, Timestamp};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -75,6 +75,7 @@ struct Queue {
 
 #[derive(Debug)]
 enum Item {
+    About(BTreeMap<String, String>),
     Frame(Arc<SensorSpec>, Arc<SensorFrame>),
     Pose(Timestamp, Box<(Pose, Option<Covariance6>)>),
 }
@@ -132,6 +133,12 @@ impl Recorder {
     /// known. Waits and fails no more than [`Recorder::frame`].
     pub fn pose(&self, stamp: Timestamp, t_map_base: Pose, covariance: Option<Covariance6>) {
         self.push(Item::Pose(stamp, Box::new((t_map_base, covariance))));
+    }
+
+    /// Says something of the recording as a whole from now on, names and values: each file has it, as metadata of the name
+    /// [`ABOUT`](percept_bags::ABOUT), and again where it changes. Waits and fails no more than [`Recorder::frame`].
+    pub fn about(&self, entries: BTreeMap<String, String>) {
+        self.push(Item::About(entries));
     }
 
     /// How it stands.
@@ -210,7 +217,11 @@ fn check(name: &str) -> Result<(), RecordError> {
 impl Item {
     /// What it takes while it waits, bytes.
     fn num_bytes(&self) -> usize {
-        let Self::Frame(_, frame) = self else { return ITEM_BYTES };
+        let frame = match self {
+            Self::Frame(_, frame) => frame,
+            Self::About(entries) => return ITEM_BYTES + entries.iter().map(|(k, v)| k.len() + v.len()).sum::<usize>(),
+            Self::Pose(..) => return ITEM_BYTES,
+        };
         let own = match &frame.data {
             SensorData::Depth(depth) => depth.data().len() * 4,
             SensorData::Rgbd(depth, color) => depth.data().len() * 4 + color.data().len(),
@@ -316,6 +327,7 @@ impl Writing {
 
     fn write(&mut self, item: &Item, place: Place) -> Result<(), WriteError> {
         let written = match item {
+            Item::About(entries) => self.files.about(entries),
             Item::Frame(spec, frame) => self.files.frame(spec, frame),
             Item::Pose(stamp, pose) => self.files.pose(*stamp, &pose.0, pose.1.as_ref()),
         };

@@ -67,7 +67,7 @@ pub use session::meta::{DEFAULT_TENANT, OverloadPolicy, SensorDeclaration, Sessi
 pub use session::persist::Durable;
 pub use session::recording::{RecordingEnd, RecordingInfo, RecordingPhase, RecordingStatus};
 pub use session::recordings::{RecordingSettings, StoredRecording};
-pub use session::records::Counts;
+pub use session::records::{Counts, params_of};
 pub use session::sensor_book::{NoPose, Refusal, SensorStatus, StreamNote};
 pub use session::shelf::OwnDetectors;
 pub use session::state::SessionState;

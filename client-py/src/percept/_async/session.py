@@ -175,6 +175,17 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         of the trajectory it raises InvalidArgument (before) or FailedPrecondition (after) with the range."""
         return await self._transport.call(sessions.pose_at(self.session_id, at_ns))
 
+    async def set_pose(self, t_map_base: Pose | Array) -> PoseEstimate:
+        """Says where the robot is, a pose or its (4, 4) matrix, base to map, as RViz' "2D Pose Estimate" does:
+        of one that was not found, or in a wrong place. It answers with the next frame that moves the pose:
+        where the robot is by what it sees within a metre and half a radian of it, tentatively, until views
+        from elsewhere agree. Where nobody has mapped the pose is believed.
+
+        Raises FailedPrecondition, and nothing is changed: POSE_REFUTED if what it sees does not fit there,
+        ROBOT_SILENT if no frame comes within five seconds, MAP_EMPTY without a map, POSE_NOT_COMPARABLE for
+        a camera alone."""
+        return await self._transport.call(sessions.set_pose(self.session_id, t_map_base))
+
     async def transform(self, target: str, source: str, *, at_ns: int | None = None) -> Transform:
         """Where `source` is, seen from `target`, now or at a time: map, odom, base, or a sensor's id
         (sensors/<id> for one of such a name)."""

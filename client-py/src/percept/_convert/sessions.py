@@ -269,6 +269,13 @@ def pose_at(session_id: str, at_ns: int) -> Call[service.GetPoseRequest, service
     return Call(_rpc.GET_POSE, request, lambda a: poses.pose_at(a.pose_at))
 
 
+def set_pose(
+    session_id: str, t_map_base: Pose | Array
+) -> Call[service.SetPoseRequest, service.SetPoseResponse, PoseEstimate]:
+    request = service.SetPoseRequest(session_id=session_id, t_map_base=geometry.pose_to(t_map_base, "t_map_base"))
+    return Call(_rpc.SET_POSE, request, lambda a: poses.pose_estimate(a.pose))
+
+
 def transform(
     session_id: str, target_frame: str, source_frame: str, at_ns: int | None
 ) -> Call[service.LookupTransformRequest, service.LookupTransformResponse, Transform]:

@@ -13,6 +13,7 @@ _sym_db = _symbol_database.Default()
 
 
 from google.protobuf import field_mask_pb2 as google_dot_protobuf_dot_field__mask__pb2
+from percept.v1 import geometry_pb2 as percept_dot_v1_dot_geometry__pb2
 from percept.v1 import layers_service_pb2 as percept_dot_v1_dot_layers__service__pb2
 from percept.v1 import params_pb2 as percept_dot_v1_dot_params__pb2
 from percept.v1 import recording_pb2 as percept_dot_v1_dot_recording__pb2
@@ -20,7 +21,7 @@ from percept.v1 import sensor_pb2 as percept_dot_v1_dot_sensor__pb2
 from percept.v1 import session_pb2 as percept_dot_v1_dot_session__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!percept/v1/sessions_service.proto\x12\npercept.v1\x1a google/protobuf/field_mask.proto\x1a\x1fpercept/v1/layers_service.proto\x1a\x17percept/v1/params.proto\x1a\x1apercept/v1/recording.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"\xd1\x02\n\x14\x43reateSessionRequest\x12\x17\n\nsession_id\x18\x01 \x01(\tH\x00\x88\x01\x01\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12%\n\x04mode\x18\x03 \x01(\x0e\x32\x17.percept.v1.SessionMode\x12\'\n\x07sensors\x18\x04 \x03(\x0b\x32\x16.percept.v1.SensorSpec\x12*\n\x06params\x18\x05 \x01(\x0b\x32\x1a.percept.v1.PipelineParams\x12\x12\n\nrequest_id\x18\x06 \x01(\t\x12<\n\x06labels\x18\x07 \x03(\x0b\x32,.percept.v1.CreateSessionRequest.LabelsEntry\x1a-\n\x0bLabelsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x42\r\n\x0b_session_id\"=\n\x15\x43reateSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\"\'\n\x11GetSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\":\n\x12GetSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\"\xa8\x01\n\x13ListSessionsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\x12\'\n\x05state\x18\x03 \x01(\x0e\x32\x18.percept.v1.SessionState\x12\x17\n\x0fsession_pattern\x18\x04 \x01(\t\x12\x16\n\x0elabel_selector\x18\x05 \x01(\t\x12\x10\n\x08order_by\x18\x06 \x01(\t\"V\n\x14ListSessionsResponse\x12%\n\x08sessions\x18\x01 \x03(\x0b\x32\x13.percept.v1.Session\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"{\n\x14UpdateSessionRequest\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\x12/\n\x0bupdate_mask\x18\x02 \x01(\x0b\x32\x1a.google.protobuf.FieldMask\x12\x0c\n\x04\x65tag\x18\x03 \x01(\t\"=\n\x15UpdateSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\"*\n\x14\x44\x65leteSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"\x17\n\x15\x44\x65leteSessionResponse\"B\n\x0eGetPoseRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x12\n\x05\x61t_ns\x18\x02 \x01(\x03H\x00\x88\x01\x01\x42\x08\n\x06_at_ns\"}\n\x0fGetPoseResponse\x12+\n\x04pose\x18\x01 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x88\x01\x01\x12(\n\x07pose_at\x18\x02 \x01(\x0b\x32\x12.percept.v1.PoseAtH\x01\x88\x01\x01\x42\x07\n\x05_poseB\n\n\x08_pose_at\"v\n\x16LookupTransformRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x0ctarget_frame\x18\x02 \x01(\t\x12\x14\n\x0csource_frame\x18\x03 \x01(\t\x12\x12\n\x05\x61t_ns\x18\x04 \x01(\x03H\x00\x88\x01\x01\x42\x08\n\x06_at_ns\"C\n\x17LookupTransformResponse\x12(\n\ttransform\x18\x01 \x01(\x0b\x32\x15.percept.v1.Transform\"\xa4\x01\n\x14GetTrajectoryRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x07\x66rom_ns\x18\x02 \x01(\x03H\x00\x88\x01\x01\x12\x12\n\x05to_ns\x18\x03 \x01(\x03H\x01\x88\x01\x01\x12\x11\n\tmax_poses\x18\x04 \x01(\r\x12\x11\n\tpage_size\x18\x05 \x01(\r\x12\x12\n\npage_token\x18\x06 \x01(\tB\n\n\x08_from_nsB\x08\n\x06_to_ns\"p\n\x15GetTrajectoryResponse\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12)\n\x05poses\x18\x02 \x03(\x0b\x32\x1a.percept.v1.TrajectoryPose\x12\x17\n\x0fnext_page_token\x18\x03 \x01(\t\"Q\n\x14ListKeyframesRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"Y\n\x15ListKeyframesResponse\x12\'\n\tkeyframes\x18\x01 \x03(\x0b\x32\x14.percept.v1.Keyframe\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\xbb\x01\n\x13WatchSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x19\n\x0cresume_token\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12)\n\x05kinds\x18\x03 \x03(\x0e\x32\x1a.percept.v1.FleetEventKind\x12-\n\x07objects\x18\x04 \x01(\x0b\x32\x17.percept.v1.ObjectWatchH\x01\x88\x01\x01\x42\x0f\n\r_resume_tokenB\n\n\x08_objects\"\\\n\x0bObjectWatch\x12\r\n\x05label\x18\x01 \x01(\t\x12\x0c\n\x04text\x18\x02 \x01(\t\x12%\n\x06region\x18\x03 \x01(\x0b\x32\x10.percept.v1.Box3H\x00\x88\x01\x01\x42\t\n\x07_region\"?\n\x14WatchSessionResponse\x12\'\n\x05\x65vent\x18\x01 \x01(\x0b\x32\x18.percept.v1.SessionEvent\"\x86\x01\n\x14WatchSessionsRequest\x12\x17\n\x0fsession_pattern\x18\x01 \x01(\t\x12)\n\x05kinds\x18\x02 \x03(\x0e\x32\x1a.percept.v1.FleetEventKind\x12\x19\n\x0cresume_token\x18\x03 \x01(\x04H\x00\x88\x01\x01\x42\x0f\n\r_resume_token\">\n\x15WatchSessionsResponse\x12%\n\x05\x65vent\x18\x01 \x01(\x0b\x32\x16.percept.v1.FleetEvent\"+\n\x15StartRecordingRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"B\n\x16StartRecordingResponse\x12(\n\trecording\x18\x01 \x01(\x0b\x32\x15.percept.v1.Recording\"*\n\x14StopRecordingRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"T\n\x15StopRecordingResponse\x12-\n\trecording\x18\x01 \x01(\x0b\x32\x15.percept.v1.RecordingH\x00\x88\x01\x01\x42\x0c\n\n_recording\"R\n\x15ListRecordingsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"b\n\x16ListRecordingsResponse\x12/\n\nrecordings\x18\x01 \x03(\x0b\x32\x1b.percept.v1.StoredRecording\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"B\n\x16\x44\x65leteRecordingRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x0crecording_id\x18\x02 \x01(\t\"\x19\n\x17\x44\x65leteRecordingResponse\"\x19\n\x17GetDefaultParamsRequest\"F\n\x18GetDefaultParamsResponse\x12*\n\x06params\x18\x01 \x01(\x0b\x32\x1a.percept.v1.PipelineParams2\xf1\n\n\x0fSessionsService\x12T\n\rCreateSession\x12 .percept.v1.CreateSessionRequest\x1a!.percept.v1.CreateSessionResponse\x12K\n\nGetSession\x12\x1d.percept.v1.GetSessionRequest\x1a\x1e.percept.v1.GetSessionResponse\x12Q\n\x0cListSessions\x12\x1f.percept.v1.ListSessionsRequest\x1a .percept.v1.ListSessionsResponse\x12T\n\rUpdateSession\x12 .percept.v1.UpdateSessionRequest\x1a!.percept.v1.UpdateSessionResponse\x12T\n\rDeleteSession\x12 .percept.v1.DeleteSessionRequest\x1a!.percept.v1.DeleteSessionResponse\x12\x42\n\x07GetPose\x12\x1a.percept.v1.GetPoseRequest\x1a\x1b.percept.v1.GetPoseResponse\x12Z\n\x0fLookupTransform\x12\".percept.v1.LookupTransformRequest\x1a#.percept.v1.LookupTransformResponse\x12V\n\rGetTrajectory\x12 .percept.v1.GetTrajectoryRequest\x1a!.percept.v1.GetTrajectoryResponse0\x01\x12T\n\rListKeyframes\x12 .percept.v1.ListKeyframesRequest\x1a!.percept.v1.ListKeyframesResponse\x12S\n\x0cWatchSession\x12\x1f.percept.v1.WatchSessionRequest\x1a .percept.v1.WatchSessionResponse0\x01\x12V\n\rWatchSessions\x12 .percept.v1.WatchSessionsRequest\x1a!.percept.v1.WatchSessionsResponse0\x01\x12W\n\x0eStartRecording\x12!.percept.v1.StartRecordingRequest\x1a\".percept.v1.StartRecordingResponse\x12T\n\rStopRecording\x12 .percept.v1.StopRecordingRequest\x1a!.percept.v1.StopRecordingResponse\x12W\n\x0eListRecordings\x12!.percept.v1.ListRecordingsRequest\x1a\".percept.v1.ListRecordingsResponse\x12Z\n\x0f\x44\x65leteRecording\x12\".percept.v1.DeleteRecordingRequest\x1a#.percept.v1.DeleteRecordingResponse\x12]\n\x10GetDefaultParams\x12#.percept.v1.GetDefaultParamsRequest\x1a$.percept.v1.GetDefaultParamsResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!percept/v1/sessions_service.proto\x12\npercept.v1\x1a google/protobuf/field_mask.proto\x1a\x19percept/v1/geometry.proto\x1a\x1fpercept/v1/layers_service.proto\x1a\x17percept/v1/params.proto\x1a\x1apercept/v1/recording.proto\x1a\x17percept/v1/sensor.proto\x1a\x18percept/v1/session.proto\"\xd1\x02\n\x14\x43reateSessionRequest\x12\x17\n\nsession_id\x18\x01 \x01(\tH\x00\x88\x01\x01\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12%\n\x04mode\x18\x03 \x01(\x0e\x32\x17.percept.v1.SessionMode\x12\'\n\x07sensors\x18\x04 \x03(\x0b\x32\x16.percept.v1.SensorSpec\x12*\n\x06params\x18\x05 \x01(\x0b\x32\x1a.percept.v1.PipelineParams\x12\x12\n\nrequest_id\x18\x06 \x01(\t\x12<\n\x06labels\x18\x07 \x03(\x0b\x32,.percept.v1.CreateSessionRequest.LabelsEntry\x1a-\n\x0bLabelsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x42\r\n\x0b_session_id\"=\n\x15\x43reateSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\"\'\n\x11GetSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\":\n\x12GetSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\"\xa8\x01\n\x13ListSessionsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\x12\'\n\x05state\x18\x03 \x01(\x0e\x32\x18.percept.v1.SessionState\x12\x17\n\x0fsession_pattern\x18\x04 \x01(\t\x12\x16\n\x0elabel_selector\x18\x05 \x01(\t\x12\x10\n\x08order_by\x18\x06 \x01(\t\"V\n\x14ListSessionsResponse\x12%\n\x08sessions\x18\x01 \x03(\x0b\x32\x13.percept.v1.Session\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"{\n\x14UpdateSessionRequest\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\x12/\n\x0bupdate_mask\x18\x02 \x01(\x0b\x32\x1a.google.protobuf.FieldMask\x12\x0c\n\x04\x65tag\x18\x03 \x01(\t\"=\n\x15UpdateSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.percept.v1.Session\"*\n\x14\x44\x65leteSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"\x17\n\x15\x44\x65leteSessionResponse\"B\n\x0eGetPoseRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x12\n\x05\x61t_ns\x18\x02 \x01(\x03H\x00\x88\x01\x01\x42\x08\n\x06_at_ns\"}\n\x0fGetPoseResponse\x12+\n\x04pose\x18\x01 \x01(\x0b\x32\x18.percept.v1.PoseEstimateH\x00\x88\x01\x01\x12(\n\x07pose_at\x18\x02 \x01(\x0b\x32\x12.percept.v1.PoseAtH\x01\x88\x01\x01\x42\x07\n\x05_poseB\n\n\x08_pose_at\"J\n\x0eSetPoseRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12$\n\nt_map_base\x18\x02 \x01(\x0b\x32\x10.percept.v1.Pose\"K\n\x0fSetPoseResponse\x12&\n\x04pose\x18\x01 \x01(\x0b\x32\x18.percept.v1.PoseEstimate\x12\x10\n\x08\x63ompared\x18\x02 \x01(\x08\"v\n\x16LookupTransformRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x0ctarget_frame\x18\x02 \x01(\t\x12\x14\n\x0csource_frame\x18\x03 \x01(\t\x12\x12\n\x05\x61t_ns\x18\x04 \x01(\x03H\x00\x88\x01\x01\x42\x08\n\x06_at_ns\"C\n\x17LookupTransformResponse\x12(\n\ttransform\x18\x01 \x01(\x0b\x32\x15.percept.v1.Transform\"\xa4\x01\n\x14GetTrajectoryRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x07\x66rom_ns\x18\x02 \x01(\x03H\x00\x88\x01\x01\x12\x12\n\x05to_ns\x18\x03 \x01(\x03H\x01\x88\x01\x01\x12\x11\n\tmax_poses\x18\x04 \x01(\r\x12\x11\n\tpage_size\x18\x05 \x01(\r\x12\x12\n\npage_token\x18\x06 \x01(\tB\n\n\x08_from_nsB\x08\n\x06_to_ns\"p\n\x15GetTrajectoryResponse\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12)\n\x05poses\x18\x02 \x03(\x0b\x32\x1a.percept.v1.TrajectoryPose\x12\x17\n\x0fnext_page_token\x18\x03 \x01(\t\"Q\n\x14ListKeyframesRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"Y\n\x15ListKeyframesResponse\x12\'\n\tkeyframes\x18\x01 \x03(\x0b\x32\x14.percept.v1.Keyframe\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\xbb\x01\n\x13WatchSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x19\n\x0cresume_token\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12)\n\x05kinds\x18\x03 \x03(\x0e\x32\x1a.percept.v1.FleetEventKind\x12-\n\x07objects\x18\x04 \x01(\x0b\x32\x17.percept.v1.ObjectWatchH\x01\x88\x01\x01\x42\x0f\n\r_resume_tokenB\n\n\x08_objects\"\\\n\x0bObjectWatch\x12\r\n\x05label\x18\x01 \x01(\t\x12\x0c\n\x04text\x18\x02 \x01(\t\x12%\n\x06region\x18\x03 \x01(\x0b\x32\x10.percept.v1.Box3H\x00\x88\x01\x01\x42\t\n\x07_region\"?\n\x14WatchSessionResponse\x12\'\n\x05\x65vent\x18\x01 \x01(\x0b\x32\x18.percept.v1.SessionEvent\"\x86\x01\n\x14WatchSessionsRequest\x12\x17\n\x0fsession_pattern\x18\x01 \x01(\t\x12)\n\x05kinds\x18\x02 \x03(\x0e\x32\x1a.percept.v1.FleetEventKind\x12\x19\n\x0cresume_token\x18\x03 \x01(\x04H\x00\x88\x01\x01\x42\x0f\n\r_resume_token\">\n\x15WatchSessionsResponse\x12%\n\x05\x65vent\x18\x01 \x01(\x0b\x32\x16.percept.v1.FleetEvent\"+\n\x15StartRecordingRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"B\n\x16StartRecordingResponse\x12(\n\trecording\x18\x01 \x01(\x0b\x32\x15.percept.v1.Recording\"*\n\x14StopRecordingRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"T\n\x15StopRecordingResponse\x12-\n\trecording\x18\x01 \x01(\x0b\x32\x15.percept.v1.RecordingH\x00\x88\x01\x01\x42\x0c\n\n_recording\"R\n\x15ListRecordingsRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"b\n\x16ListRecordingsResponse\x12/\n\nrecordings\x18\x01 \x03(\x0b\x32\x1b.percept.v1.StoredRecording\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"B\n\x16\x44\x65leteRecordingRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x14\n\x0crecording_id\x18\x02 \x01(\t\"\x19\n\x17\x44\x65leteRecordingResponse\"\x19\n\x17GetDefaultParamsRequest\"F\n\x18GetDefaultParamsResponse\x12*\n\x06params\x18\x01 \x01(\x0b\x32\x1a.percept.v1.PipelineParams2\xb5\x0b\n\x0fSessionsService\x12T\n\rCreateSession\x12 .percept.v1.CreateSessionRequest\x1a!.percept.v1.CreateSessionResponse\x12K\n\nGetSession\x12\x1d.percept.v1.GetSessionRequest\x1a\x1e.percept.v1.GetSessionResponse\x12Q\n\x0cListSessions\x12\x1f.percept.v1.ListSessionsRequest\x1a .percept.v1.ListSessionsResponse\x12T\n\rUpdateSession\x12 .percept.v1.UpdateSessionRequest\x1a!.percept.v1.UpdateSessionResponse\x12T\n\rDeleteSession\x12 .percept.v1.DeleteSessionRequest\x1a!.percept.v1.DeleteSessionResponse\x12\x42\n\x07GetPose\x12\x1a.percept.v1.GetPoseRequest\x1a\x1b.percept.v1.GetPoseResponse\x12\x42\n\x07SetPose\x12\x1a.percept.v1.SetPoseRequest\x1a\x1b.percept.v1.SetPoseResponse\x12Z\n\x0fLookupTransform\x12\".percept.v1.LookupTransformRequest\x1a#.percept.v1.LookupTransformResponse\x12V\n\rGetTrajectory\x12 .percept.v1.GetTrajectoryRequest\x1a!.percept.v1.GetTrajectoryResponse0\x01\x12T\n\rListKeyframes\x12 .percept.v1.ListKeyframesRequest\x1a!.percept.v1.ListKeyframesResponse\x12S\n\x0cWatchSession\x12\x1f.percept.v1.WatchSessionRequest\x1a .percept.v1.WatchSessionResponse0\x01\x12V\n\rWatchSessions\x12 .percept.v1.WatchSessionsRequest\x1a!.percept.v1.WatchSessionsResponse0\x01\x12W\n\x0eStartRecording\x12!.percept.v1.StartRecordingRequest\x1a\".percept.v1.StartRecordingResponse\x12T\n\rStopRecording\x12 .percept.v1.StopRecordingRequest\x1a!.percept.v1.StopRecordingResponse\x12W\n\x0eListRecordings\x12!.percept.v1.ListRecordingsRequest\x1a\".percept.v1.ListRecordingsResponse\x12Z\n\x0f\x44\x65leteRecording\x12\".percept.v1.DeleteRecordingRequest\x1a#.percept.v1.DeleteRecordingResponse\x12]\n\x10GetDefaultParams\x12#.percept.v1.GetDefaultParamsRequest\x1a$.percept.v1.GetDefaultParamsResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -29,74 +30,78 @@ if _descriptor._USE_C_DESCRIPTORS == False:
   DESCRIPTOR._options = None
   _globals['_CREATESESSIONREQUEST_LABELSENTRY']._options = None
   _globals['_CREATESESSIONREQUEST_LABELSENTRY']._serialized_options = b'8\001'
-  _globals['_CREATESESSIONREQUEST']._serialized_start=221
-  _globals['_CREATESESSIONREQUEST']._serialized_end=558
-  _globals['_CREATESESSIONREQUEST_LABELSENTRY']._serialized_start=498
-  _globals['_CREATESESSIONREQUEST_LABELSENTRY']._serialized_end=543
-  _globals['_CREATESESSIONRESPONSE']._serialized_start=560
-  _globals['_CREATESESSIONRESPONSE']._serialized_end=621
-  _globals['_GETSESSIONREQUEST']._serialized_start=623
-  _globals['_GETSESSIONREQUEST']._serialized_end=662
-  _globals['_GETSESSIONRESPONSE']._serialized_start=664
-  _globals['_GETSESSIONRESPONSE']._serialized_end=722
-  _globals['_LISTSESSIONSREQUEST']._serialized_start=725
-  _globals['_LISTSESSIONSREQUEST']._serialized_end=893
-  _globals['_LISTSESSIONSRESPONSE']._serialized_start=895
-  _globals['_LISTSESSIONSRESPONSE']._serialized_end=981
-  _globals['_UPDATESESSIONREQUEST']._serialized_start=983
-  _globals['_UPDATESESSIONREQUEST']._serialized_end=1106
-  _globals['_UPDATESESSIONRESPONSE']._serialized_start=1108
-  _globals['_UPDATESESSIONRESPONSE']._serialized_end=1169
-  _globals['_DELETESESSIONREQUEST']._serialized_start=1171
-  _globals['_DELETESESSIONREQUEST']._serialized_end=1213
-  _globals['_DELETESESSIONRESPONSE']._serialized_start=1215
-  _globals['_DELETESESSIONRESPONSE']._serialized_end=1238
-  _globals['_GETPOSEREQUEST']._serialized_start=1240
-  _globals['_GETPOSEREQUEST']._serialized_end=1306
-  _globals['_GETPOSERESPONSE']._serialized_start=1308
-  _globals['_GETPOSERESPONSE']._serialized_end=1433
-  _globals['_LOOKUPTRANSFORMREQUEST']._serialized_start=1435
-  _globals['_LOOKUPTRANSFORMREQUEST']._serialized_end=1553
-  _globals['_LOOKUPTRANSFORMRESPONSE']._serialized_start=1555
-  _globals['_LOOKUPTRANSFORMRESPONSE']._serialized_end=1622
-  _globals['_GETTRAJECTORYREQUEST']._serialized_start=1625
-  _globals['_GETTRAJECTORYREQUEST']._serialized_end=1789
-  _globals['_GETTRAJECTORYRESPONSE']._serialized_start=1791
-  _globals['_GETTRAJECTORYRESPONSE']._serialized_end=1903
-  _globals['_LISTKEYFRAMESREQUEST']._serialized_start=1905
-  _globals['_LISTKEYFRAMESREQUEST']._serialized_end=1986
-  _globals['_LISTKEYFRAMESRESPONSE']._serialized_start=1988
-  _globals['_LISTKEYFRAMESRESPONSE']._serialized_end=2077
-  _globals['_WATCHSESSIONREQUEST']._serialized_start=2080
-  _globals['_WATCHSESSIONREQUEST']._serialized_end=2267
-  _globals['_OBJECTWATCH']._serialized_start=2269
-  _globals['_OBJECTWATCH']._serialized_end=2361
-  _globals['_WATCHSESSIONRESPONSE']._serialized_start=2363
-  _globals['_WATCHSESSIONRESPONSE']._serialized_end=2426
-  _globals['_WATCHSESSIONSREQUEST']._serialized_start=2429
-  _globals['_WATCHSESSIONSREQUEST']._serialized_end=2563
-  _globals['_WATCHSESSIONSRESPONSE']._serialized_start=2565
-  _globals['_WATCHSESSIONSRESPONSE']._serialized_end=2627
-  _globals['_STARTRECORDINGREQUEST']._serialized_start=2629
-  _globals['_STARTRECORDINGREQUEST']._serialized_end=2672
-  _globals['_STARTRECORDINGRESPONSE']._serialized_start=2674
-  _globals['_STARTRECORDINGRESPONSE']._serialized_end=2740
-  _globals['_STOPRECORDINGREQUEST']._serialized_start=2742
-  _globals['_STOPRECORDINGREQUEST']._serialized_end=2784
-  _globals['_STOPRECORDINGRESPONSE']._serialized_start=2786
-  _globals['_STOPRECORDINGRESPONSE']._serialized_end=2870
-  _globals['_LISTRECORDINGSREQUEST']._serialized_start=2872
-  _globals['_LISTRECORDINGSREQUEST']._serialized_end=2954
-  _globals['_LISTRECORDINGSRESPONSE']._serialized_start=2956
-  _globals['_LISTRECORDINGSRESPONSE']._serialized_end=3054
-  _globals['_DELETERECORDINGREQUEST']._serialized_start=3056
-  _globals['_DELETERECORDINGREQUEST']._serialized_end=3122
-  _globals['_DELETERECORDINGRESPONSE']._serialized_start=3124
-  _globals['_DELETERECORDINGRESPONSE']._serialized_end=3149
-  _globals['_GETDEFAULTPARAMSREQUEST']._serialized_start=3151
-  _globals['_GETDEFAULTPARAMSREQUEST']._serialized_end=3176
-  _globals['_GETDEFAULTPARAMSRESPONSE']._serialized_start=3178
-  _globals['_GETDEFAULTPARAMSRESPONSE']._serialized_end=3248
-  _globals['_SESSIONSSERVICE']._serialized_start=3251
-  _globals['_SESSIONSSERVICE']._serialized_end=4644
+  _globals['_CREATESESSIONREQUEST']._serialized_start=248
+  _globals['_CREATESESSIONREQUEST']._serialized_end=585
+  _globals['_CREATESESSIONREQUEST_LABELSENTRY']._serialized_start=525
+  _globals['_CREATESESSIONREQUEST_LABELSENTRY']._serialized_end=570
+  _globals['_CREATESESSIONRESPONSE']._serialized_start=587
+  _globals['_CREATESESSIONRESPONSE']._serialized_end=648
+  _globals['_GETSESSIONREQUEST']._serialized_start=650
+  _globals['_GETSESSIONREQUEST']._serialized_end=689
+  _globals['_GETSESSIONRESPONSE']._serialized_start=691
+  _globals['_GETSESSIONRESPONSE']._serialized_end=749
+  _globals['_LISTSESSIONSREQUEST']._serialized_start=752
+  _globals['_LISTSESSIONSREQUEST']._serialized_end=920
+  _globals['_LISTSESSIONSRESPONSE']._serialized_start=922
+  _globals['_LISTSESSIONSRESPONSE']._serialized_end=1008
+  _globals['_UPDATESESSIONREQUEST']._serialized_start=1010
+  _globals['_UPDATESESSIONREQUEST']._serialized_end=1133
+  _globals['_UPDATESESSIONRESPONSE']._serialized_start=1135
+  _globals['_UPDATESESSIONRESPONSE']._serialized_end=1196
+  _globals['_DELETESESSIONREQUEST']._serialized_start=1198
+  _globals['_DELETESESSIONREQUEST']._serialized_end=1240
+  _globals['_DELETESESSIONRESPONSE']._serialized_start=1242
+  _globals['_DELETESESSIONRESPONSE']._serialized_end=1265
+  _globals['_GETPOSEREQUEST']._serialized_start=1267
+  _globals['_GETPOSEREQUEST']._serialized_end=1333
+  _globals['_GETPOSERESPONSE']._serialized_start=1335
+  _globals['_GETPOSERESPONSE']._serialized_end=1460
+  _globals['_SETPOSEREQUEST']._serialized_start=1462
+  _globals['_SETPOSEREQUEST']._serialized_end=1536
+  _globals['_SETPOSERESPONSE']._serialized_start=1538
+  _globals['_SETPOSERESPONSE']._serialized_end=1613
+  _globals['_LOOKUPTRANSFORMREQUEST']._serialized_start=1615
+  _globals['_LOOKUPTRANSFORMREQUEST']._serialized_end=1733
+  _globals['_LOOKUPTRANSFORMRESPONSE']._serialized_start=1735
+  _globals['_LOOKUPTRANSFORMRESPONSE']._serialized_end=1802
+  _globals['_GETTRAJECTORYREQUEST']._serialized_start=1805
+  _globals['_GETTRAJECTORYREQUEST']._serialized_end=1969
+  _globals['_GETTRAJECTORYRESPONSE']._serialized_start=1971
+  _globals['_GETTRAJECTORYRESPONSE']._serialized_end=2083
+  _globals['_LISTKEYFRAMESREQUEST']._serialized_start=2085
+  _globals['_LISTKEYFRAMESREQUEST']._serialized_end=2166
+  _globals['_LISTKEYFRAMESRESPONSE']._serialized_start=2168
+  _globals['_LISTKEYFRAMESRESPONSE']._serialized_end=2257
+  _globals['_WATCHSESSIONREQUEST']._serialized_start=2260
+  _globals['_WATCHSESSIONREQUEST']._serialized_end=2447
+  _globals['_OBJECTWATCH']._serialized_start=2449
+  _globals['_OBJECTWATCH']._serialized_end=2541
+  _globals['_WATCHSESSIONRESPONSE']._serialized_start=2543
+  _globals['_WATCHSESSIONRESPONSE']._serialized_end=2606
+  _globals['_WATCHSESSIONSREQUEST']._serialized_start=2609
+  _globals['_WATCHSESSIONSREQUEST']._serialized_end=2743
+  _globals['_WATCHSESSIONSRESPONSE']._serialized_start=2745
+  _globals['_WATCHSESSIONSRESPONSE']._serialized_end=2807
+  _globals['_STARTRECORDINGREQUEST']._serialized_start=2809
+  _globals['_STARTRECORDINGREQUEST']._serialized_end=2852
+  _globals['_STARTRECORDINGRESPONSE']._serialized_start=2854
+  _globals['_STARTRECORDINGRESPONSE']._serialized_end=2920
+  _globals['_STOPRECORDINGREQUEST']._serialized_start=2922
+  _globals['_STOPRECORDINGREQUEST']._serialized_end=2964
+  _globals['_STOPRECORDINGRESPONSE']._serialized_start=2966
+  _globals['_STOPRECORDINGRESPONSE']._serialized_end=3050
+  _globals['_LISTRECORDINGSREQUEST']._serialized_start=3052
+  _globals['_LISTRECORDINGSREQUEST']._serialized_end=3134
+  _globals['_LISTRECORDINGSRESPONSE']._serialized_start=3136
+  _globals['_LISTRECORDINGSRESPONSE']._serialized_end=3234
+  _globals['_DELETERECORDINGREQUEST']._serialized_start=3236
+  _globals['_DELETERECORDINGREQUEST']._serialized_end=3302
+  _globals['_DELETERECORDINGRESPONSE']._serialized_start=3304
+  _globals['_DELETERECORDINGRESPONSE']._serialized_end=3329
+  _globals['_GETDEFAULTPARAMSREQUEST']._serialized_start=3331
+  _globals['_GETDEFAULTPARAMSREQUEST']._serialized_end=3356
+  _globals['_GETDEFAULTPARAMSRESPONSE']._serialized_start=3358
+  _globals['_GETDEFAULTPARAMSRESPONSE']._serialized_end=3428
+  _globals['_SESSIONSSERVICE']._serialized_start=3431
+  _globals['_SESSIONSSERVICE']._serialized_end=4892
 # @@protoc_insertion_point(module_scope)

@@ -8,6 +8,7 @@ from google.protobuf import descriptor as _descriptor
 from google.protobuf import field_mask_pb2 as _field_mask_pb2
 from google.protobuf import message as _message
 from google.protobuf.internal import containers as _containers
+from percept.v1 import geometry_pb2 as _geometry_pb2
 from percept.v1 import layers_service_pb2 as _layers_service_pb2
 from percept.v1 import params_pb2 as _params_pb2
 from percept.v1 import recording_pb2 as _recording_pb2
@@ -374,6 +375,58 @@ class GetPoseResponse(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__pose_at) -> _WhichOneofReturnType__pose_at | None: ...
 
 Global___GetPoseResponse: _TypeAlias = GetPoseResponse  # noqa: Y015
+
+@_typing.final
+class SetPoseRequest(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SESSION_ID_FIELD_NUMBER: _builtins.int
+    T_MAP_BASE_FIELD_NUMBER: _builtins.int
+    session_id: _builtins.str
+    """Which session."""
+    @_builtins.property
+    def t_map_base(self) -> _geometry_pb2.Pose:
+        """Base to map. Of a robot that moves in the plane x, y and yaw count."""
+
+    def __init__(
+        self,
+        *,
+        session_id: _builtins.str = ...,
+        t_map_base: _geometry_pb2.Pose | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["t_map_base", b"t_map_base"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["session_id", b"session_id", "t_map_base", b"t_map_base"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SetPoseRequest: _TypeAlias = SetPoseRequest  # noqa: Y015
+
+@_typing.final
+class SetPoseResponse(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    POSE_FIELD_NUMBER: _builtins.int
+    COMPARED_FIELD_NUMBER: _builtins.int
+    compared: _builtins.bool
+    """False where nobody has mapped: nothing could be compared."""
+    @_builtins.property
+    def pose(self) -> _session_pb2.PoseEstimate:
+        """Where the robot is by what it sees there."""
+
+    def __init__(
+        self,
+        *,
+        pose: _session_pb2.PoseEstimate | None = ...,
+        compared: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["pose", b"pose"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["compared", b"compared", "pose", b"pose"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___SetPoseResponse: _TypeAlias = SetPoseResponse  # noqa: Y015
 
 @_typing.final
 class LookupTransformRequest(_message.Message):

@@ -112,6 +112,7 @@ pub(super) fn open(path: &Path, companion: Option<PathBuf>, options: &OpenOption
         relations,
         notes: vec![],
         topics: vec![],
+        about: vec![],
         is_timed: !stamps::are_useless(&raw),
         restamped: stamps::restamped(&raw, &row_stamps),
         stamps: rows.iter().map(|&row| row_stamps[row]).collect(),

@@ -134,6 +134,7 @@ fn dataset(name: String, kind: DatasetKind, files: Vec<PathBuf>, clock: Clock, o
         relations: None,
         notes: vec![],
         topics: vec![],
+        about: vec![],
         is_timed: clock.is_timed,
         restamped: super::stamps::restamped(&clock.raw, &stamps),
         stamps: stamps.into(),

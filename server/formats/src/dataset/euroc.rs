@@ -93,6 +93,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         relations: None,
         notes,
         topics: vec![],
+        about: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),

@@ -87,6 +87,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         relations: None,
         notes,
         topics: vec![],
+        about: vec![],
         is_timed,
         restamped: stamps::restamped(&raw, &rising),
         stamps: rising.into(),

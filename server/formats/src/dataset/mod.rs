@@ -122,6 +122,8 @@ pub struct Dataset {
     pub notes: Vec<String>,
     /// Topics of a recording of ROS messages, those that are replayed first: name, type and number of messages, and what comes of it.
     pub topics: Vec<String>,
+    /// What percept's own recordings say of the session, names and values, in the order in which it was so.
+    pub about: Vec<BTreeMap<String, String>>,
     /// Whether the recording, or its format, says when the frames were taken. If not, they are a second apart.
     pub is_timed: bool,
     /// Stamps of the primary sensor's frames, strictly increasing.

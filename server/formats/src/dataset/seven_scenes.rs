@@ -63,6 +63,7 @@ pub(super) fn open(folder: &Folder, options: &OpenOptions) -> Result<Option<Data
         relations: None,
         notes: vec![],
         topics: vec![],
+        about: vec![],
         is_timed: true,
         restamped: BTreeMap::new(),
         stamps: stamps.into(),

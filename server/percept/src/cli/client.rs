@@ -211,8 +211,10 @@ impl RemoteSession {
         id: &str,
         name: &str,
         specs: &[SensorSpec],
+        params: Option<v1::PipelineParams>,
     ) -> Result<Self, Failure> {
         let request = v1::CreateSessionRequest {
+            params,
             session_id: (!id.is_empty()).then(|| id.to_owned()),
             display_name: name.to_owned(),
             mode: v1::SessionMode::Mapping.into(),

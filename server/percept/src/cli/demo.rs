@@ -88,7 +88,7 @@ async fn start_server(args: &DemoArgs, data_dir: &Path) -> Result<Running, Failu
 
 async fn day(args: &DemoArgs, simulation: &Simulation, grpc: &str) -> Result<(), Failure> {
     let channel = connect(grpc, &AccessArgs::default()).await?;
-    let session = RemoteSession::create(channel, "demo", "demo robot", &simulation.sensors()).await?;
+    let session = RemoteSession::create(channel, "demo", "demo robot", &simulation.sensors(), None).await?;
     let frames = simulation.frames();
     let bar = super::progress(frames.total(), "driving");
     let source = frames.map(|f| Ok::<_, Failure>(f.frame));

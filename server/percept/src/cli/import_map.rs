@@ -81,7 +81,7 @@ async fn into_server(args: &ImportMapArgs, given: Given) -> Result<(), Failure> 
         Some(id) if !args.create => RemoteSession { channel, id: id.clone() },
         id => {
             let name = args.map.file_stem().unwrap_or_default().to_string_lossy();
-            RemoteSession::create(channel, id.as_deref().unwrap_or_default(), &name, &[]).await?
+            RemoteSession::create(channel, id.as_deref().unwrap_or_default(), &name, &[], None).await?
         }
     };
     let (map, kept) = match given {

@@ -1,6 +1,7 @@
 //! `percept info`: what a recording holds, and what a replay would take of it.
 
 use super::Failure;
+use super::recorded::RecordedSession;
 use super::replay::RosArgs;
 use percept_geometry::{SensorKind, SensorSpec};
 use serde_json::json;
@@ -26,6 +27,9 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
             return Err(error.into());
         }
         recording.notes.push(format!("its first frame cannot be read: {error}"));
+    }
+    if let Some(session) = RecordedSession::of(&recording) {
+        recording.notes.extend(session.notes);
     }
     if args.json {
         let sensors = recording.sensors.iter().map(|s| json!({ "id": s.id.0, "kind": kind(s), "at_m": at(s) }));

@@ -27,6 +27,7 @@ mod plan;
 mod plot;
 mod prepare;
 mod record;
+mod recorded;
 mod reload;
 mod replay;
 mod report;

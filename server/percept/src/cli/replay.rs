@@ -1,6 +1,7 @@
 //! `percept replay`: a recorded data set through percept, in this process or into a server.
 
 use super::client::{AccessArgs, RemoteSession, connect};
+use super::recorded::RecordedSession;
 use super::report::{Report, peak_rss_mb};
 use super::streams::{Chosen, Stream};
 use super::{Failure, files, input, local};
@@ -64,9 +65,13 @@ pub(crate) struct ReplayArgs {
     /// Leave wheel odometry out.
     #[arg(long)]
     no_odometry: bool,
-    /// Configuration file whose session parameters are used (in this process).
+    /// Configuration file whose session parameters are used (in this process); none: those of the session that was recorded, if the
+    /// recording is percept's own and says them.
     #[arg(long, conflicts_with = "server")]
     config: Option<PathBuf>,
+    /// Use the default parameters, whatever the session was recorded with.
+    #[arg(long, conflicts_with_all = ["config", "into"])]
+    default_params: bool,
 }
 
 /// How a recording of ROS messages is read.
@@ -109,6 +114,9 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
             "nothing says when these frames were taken; leave --rate, --start and --end out, or use --frames".into()
         );
     }
+    let recorded = RecordedSession::of(&recording).filter(|_| args.config.is_none() && args.into.is_none());
+    recorded.iter().flat_map(|r| &r.notes).for_each(|note| eprintln!("percept: {note}"));
+    let recorded = recorded.map(|r| r.params).filter(|_| !args.default_params);
     if part(&args, &recording).is_empty() && !recording.is_empty() {
         let words = format!(
             "no frame is in the part asked for; the recording has {} frames in {:.1} s",
@@ -118,10 +126,10 @@ pub(crate) fn run(args: ReplayArgs) -> Result<(), Failure> {
         return Err(words.into());
     }
     match &args.server {
-        None => in_process(&args, &recording),
+        None => in_process(&args, &recording, recorded),
         Some(server) => {
             let runtime = super::serve::runtime()?;
-            runtime.block_on(into_server(&args, &recording, server))
+            runtime.block_on(into_server(&args, &recording, recorded, server))
         }
     }
 }
@@ -210,10 +218,10 @@ fn finish(mut report: Report, wall_s: f64, recorded_s: f64, json: bool) -> Resul
     Ok(())
 }
 
-fn in_process(args: &ReplayArgs, recording: &Dataset) -> Result<(), Failure> {
+fn in_process(args: &ReplayArgs, recording: &Dataset, recorded: Option<PipelineParams>) -> Result<(), Failure> {
     let params = match &args.config {
         Some(file) => crate::config::Config::load(Some(file))?.params,
-        None => PipelineParams::default(),
+        None => recorded.unwrap_or_default(),
     };
     let preset = params.preset.chosen(&recording.sensors);
     let params = params.for_preset(preset);
@@ -292,11 +300,19 @@ fn there(snapshot: &Snapshot) -> impl Iterator<Item = &Object> {
     snapshot.objects.iter().filter(|o| o.state != ObjectState::Gone)
 }
 
-async fn into_server(args: &ReplayArgs, recording: &Dataset, server: &str) -> Result<(), Failure> {
+async fn into_server(
+    args: &ReplayArgs,
+    recording: &Dataset,
+    recorded: Option<PipelineParams>,
+    server: &str,
+) -> Result<(), Failure> {
     let channel = connect(server, &args.access).await?;
     let session = match &args.into {
         Some(id) => RemoteSession::join(channel, id, &recording.sensors).await?,
-        None => RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors).await?,
+        None => {
+            let params = recorded.as_ref().map(percept_wire::params::pipeline_to).transpose()?;
+            RemoteSession::create(channel, &args.session, &recording.name, &recording.sensors, params).await?
+        }
     };
     // What the session has been through before is not this recording's.
     let before: BTreeSet<Timestamp> = match &args.into {

@@ -115,7 +115,7 @@ async fn drive(args: &SimArgs, simulation: &Simulation) -> Result<(), Failure> {
     let channel = connect(&args.server, &args.access).await?;
     let session = match &args.into {
         Some(id) => RemoteSession::join(channel, id, &simulation.sensors()).await?,
-        None => RemoteSession::create(channel, &args.session, "simulated robot", &simulation.sensors()).await?,
+        None => RemoteSession::create(channel, &args.session, "simulated robot", &simulation.sensors(), None).await?,
     };
     println!("session {} on {}: driving {:.0} s", session.id, args.server, simulation.duration_s());
     let frames = simulation.frames();

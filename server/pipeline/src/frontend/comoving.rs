@@ -251,3 +251,81 @@ impl Raster {
         around.any(|(x, y)| Self::index(x, y).is_some_and(|i| self.is_crossed[i]))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A corridor along x, 2 m wide, which ends 4 m from the origin on both sides; base at `x`, and
+    /// something of 0.4 m across the way `ahead` of it.
+    fn scan(x: f64, ahead: f64) -> Scan {
+        let range = |i: u32| {
+            let (sin, cos) = f64::from(i).to_radians().sin_cos();
+            let along = if sin == 0.0 { f64::INFINITY } else { 1.0 / sin.abs() };
+            let across = if cos > 0.0 { (4.0 - x) / cos } else { (-4.0 - x) / cos };
+            let thing = ahead / cos;
+            let is_met = cos != 0.0 && thing > 0.0 && (thing * sin).abs() < 0.2;
+            along.min(across).min(if is_met { thing } else { f64::INFINITY }) as f32
+        };
+        let scan = LaserScan {
+            angle_min_rad: 0.0,
+            angle_increment_rad: 1f64.to_radians(),
+            range_min_m: 0.05,
+            range_max_m: 30.0,
+            time_increment_s: 0.0,
+            ranges_m: (0..360).map(range).collect(),
+            intensities: None,
+            later_echoes_m: vec![],
+        };
+        Scan::Planar(PlanarScan { scan: Arc::new(scan), t_base_sensor: Pose::identity() })
+    }
+
+    /// Drives 1.5 m in steps of 5 cm by wheels; `seen` makes the scan of a place, `placed` where odometry says that it is. The beams
+    /// that are left out of the last scan, and where odometry was led to first.
+    fn drive(seen: impl Fn(f64) -> Scan, placed: impl Fn(f64) -> f64) -> (Vec<usize>, Option<f64>) {
+        let (mut comoving, mut led_to, mut out) = (Comoving::default(), None, vec![]);
+        let odom = |x: f64| se3::from_xy_yaw(placed(x), 0.0, 0.0);
+        for k in 0..=30 {
+            let (before, x) = (0.05 * f64::from(k - 1), 0.05 * f64::from(k));
+            let step = se3::from_xy_yaw(0.05, 0.0, 0.0);
+            let scan = seen(x);
+            let without = comoving.leave_out(&scan, Some(&step), &odom(before));
+            comoving.placed(Some((&odom(before), &odom(x))));
+            out = vec![];
+            if let Some(Without { scan: Scan::Planar(left), led_to: led }) = without {
+                out = (0..360).filter(|i| left.scan.ranges_m[*i].is_nan()).collect();
+                led_to = led_to.or(led.map(|(t, _)| t.translation.x));
+            }
+        }
+        (out, led_to)
+    }
+
+    #[test]
+    fn what_comes_along_is_left_out_and_odometry_that_went_along_is_led_back() {
+        for ahead in [0.8, -0.8] {
+            let (out, led_to) = drive(|x| scan(x, ahead), |x| x);
+            let is_it = |i: &usize| {
+                let angle = (*i as f64).to_radians();
+                (0.8 * angle.tan()).abs() < 0.2 && angle.cos() * ahead > 0.0
+            };
+            assert_eq!(out, (0..360).filter(is_it).collect::<Vec<_>>(), "{ahead}");
+            assert_eq!(led_to, None, "odometry was right");
+            let (again, led_to) = drive(|x| scan(x, ahead), |_| 0.0);
+            assert_eq!(again, out);
+            assert!(led_to.is_some_and(|x| (0.45..0.65).contains(&x)), "{led_to:?}");
+        }
+    }
+
+    #[test]
+    fn what_stands_in_the_way_is_of_the_world_and_so_is_all_of_it_where_wheels_spin() {
+        assert_eq!(drive(|x| scan(x, 3.0 - x), |x| x), (vec![], None));
+        assert_eq!(drive(|_| scan(0.0, 0.8), |_| 0.0), (vec![], None), "the walls across stay, too");
+    }
+
+    #[test]
+    fn without_wheels_nothing_is_told_apart() {
+        let mut comoving = Comoving::default();
+        assert!(comoving.leave_out(&scan(0.0, 0.8), None, &Pose::identity()).is_none());
+        assert!(comoving.kept.is_empty());
+    }
+}

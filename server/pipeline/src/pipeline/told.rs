@@ -27,14 +27,10 @@ const POINTED_OUT: (f64, f64) = (0.5, 0.26);
 
 impl Pipeline {
     /// With the next view that moves the pose, the robot is looked for around `t_map_base`, base to map, within a metre and half a radian
-    /// ([`FrameReport::told`](super::FrameReport::told)). Of a robot in the plane x, y and yaw count.
-    pub fn tell_pose(&mut self, t_map_base: Pose) {
-        self.told = Some(t_map_base);
-    }
-
-    /// Takes back what was told, if no view has come since.
-    pub fn untell_pose(&mut self) {
-        self.told = None;
+    /// ([`FrameReport::told`](super::FrameReport::told)). Of a robot in the plane x, y and yaw count. None takes back what was told if no
+    /// view has come since.
+    pub fn tell_pose(&mut self, t_map_base: Option<Pose>) {
+        self.told = t_map_base;
     }
 
     /// Looks for the robot where it is told to be, and goes on from there if it is.

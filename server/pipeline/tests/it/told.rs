@@ -39,7 +39,7 @@ fn a_robot_that_was_carried_off_goes_on_where_it_is_told_to_be() {
         if i == 0 {
             // Pointed out by hand.
             let t_world_told = se3::from_xy_yaw(at.0 + 0.4, at.1 - 0.3, at.2 + 0.2);
-            pipeline.tell_pose(t_world_map.inverse() * t_world_told);
+            pipeline.tell_pose(Some(t_world_map.inverse() * t_world_told));
         }
         let report = pipeline.process(&seen(&plan, *at, 1000.0 + 0.1 * i as f64)).unwrap();
         let pose = report.pose.unwrap();
@@ -69,7 +69,7 @@ fn a_word_that_what_is_seen_contradicts_changes_nothing() {
         [(2.5, 0.0, 0.0), (0.0, 0.0, 1.57), (0.0, 0.0, 3.1), (8.0, 3.0, 0.3), (20.0, 5.0, 1.0)].into_iter().enumerate()
     {
         let (dx, dy, turn) = wrong;
-        pipeline.tell_pose(t_world_map.inverse() * se3::from_xy_yaw(at.0 + dx, at.1 + dy, at.2 + turn));
+        pipeline.tell_pose(Some(t_world_map.inverse() * se3::from_xy_yaw(at.0 + dx, at.1 + dy, at.2 + turn)));
         let report = pipeline.process(&seen(&plan, at, 1000.0 + 0.1 * k as f64)).unwrap();
         let pose = report.pose.unwrap();
         assert_eq!(report.told, Some(Told::Refuted), "{wrong:?}");
@@ -83,7 +83,7 @@ fn a_word_is_believed_where_nobody_has_mapped_and_without_a_map_there_is_nowhere
     let plan = Plan::of_rooms(false);
     let (mut pipeline, _) = mapped(&plan);
     let far = se3::from_xy_yaw(100.0, 50.0, 1.0);
-    pipeline.tell_pose(far);
+    pipeline.tell_pose(Some(far));
     let report = pipeline.process(&seen(&plan, (1.0, 1.0, 0.0), 1000.0)).unwrap();
     let pose = report.pose.unwrap();
     assert_eq!(report.told, Some(Told::Believed));
@@ -91,7 +91,7 @@ fn a_word_is_believed_where_nobody_has_mapped_and_without_a_map_there_is_nowhere
     assert!(pose.covariance[(0, 0)].sqrt() > 0.3, "no more sure than who pointed");
 
     let mut empty = crate::plan::pipeline();
-    empty.tell_pose(far);
+    empty.tell_pose(Some(far));
     let report = empty.process(&seen(&plan, (1.0, 1.0, 0.0), 1.0)).unwrap();
     assert_eq!(report.told, Some(Told::NoMap));
     assert!(report.pose.unwrap().t_map_base.translation.vector.norm() < 1e-9);

@@ -5,6 +5,7 @@ use percept_bags::{BagError, Recording};
 use percept_formats::dataset::open;
 use percept_geometry::{LaserScan, Pose, SensorData, SensorKind, Timestamp};
 use percept_recorder::{RecordError, Recorder, RecorderSettings};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 fn small_files() -> RecorderSettings {
@@ -152,4 +153,27 @@ fn a_next_file_that_cannot_be_begun_ends_the_recording_and_no_more() {
     assert_eq!(recorder.finish().dropped.total(), 5);
     // The file before was ended.
     assert_eq!(open(&state.files[0]).unwrap().len(), 1);
+}
+
+#[test]
+fn what_is_said_of_the_session_is_in_each_file_and_again_where_it_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    let recorder = begin(folder.path(), small_files());
+    let about =
+        |value: &str| BTreeMap::from([("params".to_owned(), value.to_owned()), (String::new(), "ü".to_owned())]);
+    recorder.about(about("{}"));
+    for i in 0..40 {
+        if i == 20 {
+            recorder.about(about(r#"{"seed": 3}"#));
+        }
+        send(&recorder, &spec("front", SensorKind::Lidar2d), at(i * 100), SensorData::Scan(scan(i as f32 + 1.0)));
+    }
+    let state = recorder.finish();
+    assert_eq!((state.dropped.total(), state.error), (0, None));
+    let said = |path: &std::path::Path| open(path).unwrap().about;
+    assert_eq!(said(&state.files[0]), [about("{}")]);
+    assert_eq!(said(state.files.last().unwrap()), [about(r#"{"seed": 3}"#)]);
+    let all = said(folder.path());
+    assert_eq!(all.len(), state.files.len() + 1, "each file's, and the change");
+    assert_eq!((all.first(), all.last()), (Some(&about("{}")), Some(&about(r#"{"seed": 3}"#))));
 }

@@ -14,7 +14,7 @@ use percept_evaluation::{
     DetectionScore, FoundObject, PosePair, RelationScore, TrajectoryScore, TrueObject, TrueRelation,
 };
 use percept_geometry::{Pose, SensorId, Stamped, Timestamp};
-use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, Snapshot, TrajectoryEntry};
+use percept_pipeline::{KeyframeInfo, Loop, LoopId, PipelineParams, PoseAt, PoseEstimate, Snapshot, TrajectoryEntry};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -125,6 +125,19 @@ impl Caller {
     pub async fn pose_at(&self, session: &str, at: Timestamp) -> Result<(PoseAt, u64)> {
         self.may_with("SessionsService/GetPose", session).await?;
         self.service.pose_at(session, at).await
+    }
+
+    /// Says where the robot is, base to map; where it is by what it sees there, and whether there was anything to compare that with.
+    ///
+    /// # Errors
+    /// As [`crate::Service::set_pose`].
+    pub async fn set_pose(&self, session: &str, t_map_base: Pose) -> Result<(PoseEstimate, bool)> {
+        const NAME: &str = "SessionsService/SetPose";
+        self.may_with(NAME, session).await?;
+        let act = Act::begin(&self.context, NAME, session);
+        let done = self.service.set_pose(session, t_map_base).await;
+        act.end(&done);
+        done
     }
 
     /// Where `source` is, seen from `target`, now or at a time.

@@ -54,6 +54,7 @@ pub static RULES: &[Rule] = &[
     session("SessionsService/ListRecordings", Read),
     audited(session("SessionsService/DeleteRecording", Admin)),
     session("SessionsService/GetPose", Read),
+    audited(session("SessionsService/SetPose", Write)),
     session("SessionsService/LookupTransform", Read),
     session("SessionsService/GetTrajectory", Read),
     session("SessionsService/ListKeyframes", Read),

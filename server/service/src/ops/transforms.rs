@@ -1,11 +1,13 @@
 //! Where the robot was, where frames are, and parts of the trajectory.
 
 use crate::reason;
-use crate::{Error, ErrorCode, Page, Result, SensorDeclaration, Service, Session, check_id};
+use crate::{Error, ErrorCode, Page, Result, SensorDeclaration, Service, Session, SessionMode, check_id};
 use percept_geometry::{Pose, Timestamp};
-use percept_pipeline::{LookupError, PoseAt, Snapshot, TrajectoryEntry};
+use percept_pipeline::{LookupError, PoseAt, PoseEstimate, Snapshot, Told, TrajectoryEntry};
 use std::sync::Arc;
 
+/// Coordinates that a robot can have in a map, metres: the earth's radius, of maps whose origin is its centre.
+const FARTHEST_M: f64 = 6.4e6;
 /// Poses that a thinned trajectory has at least.
 const LEAST_POSES: u32 = 2;
 
@@ -70,6 +72,52 @@ impl Service {
     pub async fn pose_at(&self, session: &str, at: Timestamp) -> Result<(PoseAt, u64)> {
         let snapshot = self.snapshot(session).await?;
         Ok((pose_at(&snapshot, at)?, snapshot.map_version))
+    }
+
+    /// Says where the robot is, base to map; where it is by what it sees there, and whether there was anything to compare that with.
+    ///
+    /// # Errors
+    /// `OUT_OF_RANGE`, `POSE_REFUTED`, `ROBOT_SILENT`, `MAP_EMPTY`, `POSE_NOT_COMPARABLE`, `SESSION_NOT_MAPPING`; `SESSION_NOT_FOUND`, `STORAGE_FAULT`.
+    pub async fn set_pose(&self, session: &str, t_map_base: Pose) -> Result<(PoseEstimate, bool)> {
+        check_id("session_id", session)?;
+        if t_map_base.translation.vector.amax() > FARTHEST_M {
+            let message = format!(
+                "t_map_base lies {:e} m from the map's origin; at most {FARTHEST_M:e} is a place on earth",
+                t_map_base.translation.vector.amax()
+            );
+            return Err(Error::invalid(reason::OUT_OF_RANGE, "t_map_base", message));
+        }
+        let tell = |session: Arc<Session>| async move {
+            if session.meta().mode == SessionMode::IngestOnly {
+                let words = "the session is of mode INGEST_ONLY: it has no map; use one of mode MAPPING";
+                return Err(Error::new(ErrorCode::FailedPrecondition, reason::SESSION_NOT_MAPPING, words));
+            }
+            session.tell_pose(t_map_base).await
+        };
+        let told = self.registry.awake(session, tell).await?;
+        let refuse = |reason, words: &str| Err(Error::new(ErrorCode::FailedPrecondition, reason, words));
+        match told {
+            Some((Told::Placed, pose)) => Ok((pose, true)),
+            Some((Told::Believed, pose)) => Ok((pose, false)),
+            Some((Told::Refuted, _)) => refuse(
+                reason::POSE_REFUTED,
+                "what the robot sees does not fit the map within a metre and half a radian of t_map_base; nothing was changed: point \
+                 it out more precisely, or let it be looked for",
+            ),
+            Some((Told::NoMap, _)) => refuse(
+                reason::MAP_EMPTY,
+                "there is no map yet that the robot could be in; send frames, or import a map, first",
+            ),
+            Some((Told::CannotTell, _)) => refuse(
+                reason::POSE_NOT_COMPARABLE,
+                "a camera alone cannot be compared with the map where it is said to be; let it be looked for",
+            ),
+            None => refuse(
+                reason::ROBOT_SILENT,
+                "no frame of the sensor that moves the pose came within five seconds; nothing was changed: send frames, and say it \
+                 again",
+            ),
+        }
     }
 
     /// Where `source` is, seen from `target`, now or at a time.

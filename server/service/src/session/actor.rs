@@ -9,7 +9,7 @@ use super::handle::{Session, lock};
 use super::job::Job;
 use super::meta::{SensorDeclaration, SessionMeta};
 use super::persist::{Persister, Storing};
-use super::recording::Recording;
+use super::recording::{About, Recording};
 use super::records::{FrameCounts, StateRecord};
 use super::refusal::{failed, frame_error, stamp_repeated, stopped};
 use super::scratch::Scratch;
@@ -17,9 +17,9 @@ use super::sensor_book::TakenAs;
 use crate::{Asker, ComputePool, Limits, Progress, Result, observe};
 use percept_geometry::{Pose, SensorFrame, SensorId};
 use percept_mapping::given::GivenView;
-use percept_pipeline::{FrameError, FrameReport, LoopId, MapChange, Pipeline, Snapshot};
+use percept_pipeline::{FrameError, FrameReport, LoopId, MapChange, Pipeline, PoseEstimate, Snapshot, Told};
 use percept_scene::{Correction, CorrectionError, ObjectId};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
@@ -38,6 +38,8 @@ pub(super) struct Actor {
     pub(super) recording: Option<Recording>,
     /// What was counted of each sensor's frames when the session woke.
     pub(super) stored_counts: BTreeMap<SensorId, FrameCounts>,
+    /// Where the robot is said to be, base to map, and who waits for what comes of it.
+    telling: VecDeque<(Pose, oneshot::Sender<(Told, PoseEstimate)>)>,
 }
 
 /// Why an actor ended.
@@ -88,7 +90,9 @@ pub(super) fn start(
     let kept = (persister.durable(), persister.storing(), scratch);
     let session = Arc::new(Session::over(meta, &pipeline, before, queue, kept, None, limits, events));
     let (pipeline, stored_counts) = (Some(pipeline), before.frame_counts.clone());
-    let actor = Actor { session: Arc::clone(&session), pipeline, persister, compute, recording, stored_counts };
+    let telling = VecDeque::new();
+    let actor =
+        Actor { session: Arc::clone(&session), pipeline, persister, compute, recording, stored_counts, telling };
     (session, actor.run(commands))
 }
 
@@ -188,8 +192,8 @@ impl Actor {
                     *self.session.snapshot.write().unwrap_or_else(PoisonError::into_inner) =
                         Arc::new(pipeline.snapshot());
                 }
-                if let (Some(recording), Some(declared)) = (&mut self.recording, &declared) {
-                    recording.declare(&declared.spec);
+                if let Some(recording) = &mut self.recording {
+                    recording.change(declared.as_ref().map(|declared| &declared.spec));
                 }
                 self.session.changed(*meta.clone(), declared.map(|d| *d));
                 let ticket = self.store(Job { meta: Some(meta), ..Job::default() }).await;
@@ -206,6 +210,7 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
+            Command::TellPose { t_map_base, reply } => self.telling.push_back((t_map_base, reply)),
             Command::Settle { reply } => {
                 if let Some(answer) = self.settle().await {
                     let _ = reply.send(answer);
@@ -229,9 +234,13 @@ impl Actor {
         let (waited, began, look) = (came.elapsed(), Instant::now(), FrameLook::of(&frame.data));
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let sender = self.sender();
+        // Who does not wait any more was told that nothing came of it.
+        self.telling.retain(|(_, reply)| !reply.is_closed());
+        let told = self.telling.front().map(|(t_map_base, _)| *t_map_base);
         let (pipeline, outcome, frame) = self
             .compute
             .run_for(&sender, move || {
+                pipeline.tell_pose(told);
                 let outcome = pipeline.process(&frame).map(|report| {
                     let memory = report.keyframe.as_ref().map(|_| pipeline.memory().total());
                     (report, pipeline.snapshot(), memory)
@@ -261,7 +270,10 @@ impl Actor {
         };
         observe::frame_accepted(kind, waited, began.elapsed());
         if let Some(recording) = &mut self.recording {
-            recording.add(frame, report.pose.as_ref());
+            let new = report.joined.len() + usize::from(report.keyframe.is_some());
+            let num_keyframes = snapshot.keyframes.len().saturating_sub(new);
+            let about = || About { params: self.session.meta().params, num_keyframes };
+            recording.add(frame, report.pose.as_ref(), about);
         }
         if let Some(bytes) = memory {
             self.session.share.memory(bytes);
@@ -292,6 +304,11 @@ impl Actor {
             ..Job::default()
         };
         let ticket = self.store(job).await;
+        if let (Some(told), Some(pose)) = (report.told, &report.pose)
+            && let Some((_, reply)) = self.telling.pop_front()
+        {
+            let _ = reply.send((told, pose.clone()));
+        }
         let latency = came.elapsed();
         lock(&self.session.book).accepted(&sensor, stamp, ticket, (latency, look));
         let latency_s = latency.as_secs_f64();

@@ -8,7 +8,7 @@ use crate::{Progress, Result};
 use percept_geometry::{KeyframeId, Pose, SensorFrame};
 use percept_mapping::given::GivenView;
 use percept_perception::detection::ImageDetectors;
-use percept_pipeline::{Loop, LoopId, PoseEstimate};
+use percept_pipeline::{Loop, LoopId, PoseEstimate, Told};
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedMutexGuard, oneshot};
@@ -90,6 +90,11 @@ pub(crate) enum Command {
     },
     Settle {
         reply: oneshot::Sender<Moved>,
+    },
+    /// Where the robot is, base to map, as somebody says; answered by the next frame that moves the pose.
+    TellPose {
+        t_map_base: Pose,
+        reply: oneshot::Sender<(Told, PoseEstimate)>,
     },
     /// None if there is a map already. Once it is not wanted any more, nothing is stored, and the session ends.
     Import {

@@ -15,12 +15,16 @@ use crate::{Error, Limits, Progress, Result};
 use percept_geometry::{Pose, SensorFrame, SensorId, Timestamp};
 use percept_mapping::given::GivenView;
 use percept_perception::detection::ImageDetectors;
-use percept_pipeline::{LoopId, Pipeline, Snapshot};
+use percept_pipeline::{LoopId, Pipeline, PoseEstimate, Snapshot, Told};
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use tokio::sync::{Notify, mpsc, oneshot, watch};
+use tokio::time::timeout;
+
+/// Who says where the robot is waits so long for a frame: the slowest lidars turn ten times meanwhile.
+const TELLING_PATIENCE: Duration = Duration::from_secs(5);
 
 /// A handle on a session that is awake; queries through it never wait for ingest.
 pub struct Session {
@@ -397,6 +401,20 @@ impl Session {
         let (reply, done) = oneshot::channel();
         self.queue.send(Command::Correct { id, correction, reply }).await.map_err(|_| stopped())?;
         done.await.map_err(|_| stopped())
+    }
+
+    /// Says where the robot is, base to map; none if no frame that moves the pose comes in time, and nothing was changed.
+    ///
+    /// # Errors
+    /// `SESSION_STOPPED`.
+    pub(crate) async fn tell_pose(&self, t_map_base: Pose) -> Result<Option<(Told, PoseEstimate)>> {
+        self.check_storing()?;
+        let (reply, done) = oneshot::channel();
+        self.queue.send(Command::TellPose { t_map_base, reply }).await.map_err(|_| stopped())?;
+        match timeout(TELLING_PATIENCE, done).await {
+            Ok(done) => done.map(Some).map_err(|_| stopped()),
+            Err(_) => Ok(None),
+        }
     }
 
     /// Makes the small corrections that wait for more.

@@ -3,7 +3,7 @@
 
 use super::recordings::{Recordings, folder_of};
 use percept_geometry::{SensorFrame, SensorId, SensorSpec};
-use percept_pipeline::PoseEstimate;
+use percept_pipeline::{PipelineParams, PoseEstimate};
 use percept_recorder::{Recorder, RecordingState};
 use percept_slam::{Scale, TrackingState};
 use std::collections::{BTreeMap, BTreeSet};
@@ -287,12 +287,30 @@ impl SessionRecording {
     }
 }
 
+/// What is to be known of a session to play its recording again.
+pub(super) struct About {
+    pub(super) params: PipelineParams,
+    /// Keyframes that its map had when the recording began.
+    pub(super) num_keyframes: usize,
+}
+
+impl About {
+    fn entries(&self) -> BTreeMap<String, String> {
+        let params = serde_json::to_string(&self.params).unwrap_or_default();
+        [("params", params), ("keyframes", self.num_keyframes.to_string())]
+            .map(|(name, value)| (name.to_owned(), value))
+            .into()
+    }
+}
+
 /// What an actor gives to its session's recordings.
 pub(super) struct Recording {
     of: Arc<SessionRecording>,
     /// As declared.
     specs: BTreeMap<SensorId, Arc<SensorSpec>>,
     frames: u64,
+    /// The recording that knows of the session.
+    told_about: Option<Arc<Recorder>>,
     /// The recording that was looked at last, and what was told of it.
     looked_at: Option<Arc<Recorder>>,
     are_gaps_told: bool,
@@ -307,20 +325,27 @@ impl Recording {
             of: Arc::clone(of),
             specs: specs(),
             frames: 0,
+            told_about: None,
             looked_at: None,
             are_gaps_told: false,
             is_error_told: false,
         })
     }
 
-    /// A sensor was declared, or otherwise.
-    pub(super) fn declare(&mut self, spec: &SensorSpec) {
-        self.specs.insert(spec.id.clone(), Arc::new(spec.clone()));
+    /// The session was changed, perhaps by a sensor that was declared: the next frame tells.
+    pub(super) fn change(&mut self, declared: Option<&SensorSpec>) {
+        self.specs.extend(declared.map(|spec| (spec.id.clone(), Arc::new(spec.clone()))));
+        self.told_about = None;
     }
 
-    /// A frame that was accepted, and the pose that it led to. Never waits.
-    pub(super) fn add(&mut self, frame: SensorFrame, pose: Option<&PoseEstimate>) {
+    /// A frame that was accepted, and the pose that it led to. Never waits. `about`: what is to be known of the session, where the
+    /// recording begins.
+    pub(super) fn add(&mut self, frame: SensorFrame, pose: Option<&PoseEstimate>, about: impl FnOnce() -> About) {
         let Some(recorder) = self.of.recorder() else { return };
+        if !self.told_about.as_ref().is_some_and(|before| Arc::ptr_eq(before, &recorder)) {
+            recorder.about(about().entries());
+            self.told_about = Some(Arc::clone(&recorder));
+        }
         if let Some(spec) = self.specs.get(&frame.sensor) {
             recorder.frame(spec, Arc::new(frame));
         }

@@ -134,7 +134,9 @@ impl MetaRecord {
     }
 }
 
-fn params_of(id: &str, stored: Value, defaults: &PipelineParams) -> PipelineParams {
+/// Parameters that were stored, perhaps by an older version: what they do not have, and what does not fit any more, is as in `defaults`;
+/// `id` is the session, for the log.
+pub fn params_of(id: &str, stored: Value, defaults: &PipelineParams) -> PipelineParams {
     let Ok(mut value) = serde_json::to_value(defaults) else { return defaults.clone() };
     lay_over(&mut value, &stored);
     if let Ok(params) = serde_json::from_value(value) {

@@ -11,7 +11,7 @@ mod survey;
 use super::{Dataset, DatasetKind, OpenOptions, stamps};
 use crate::FormatError;
 use load::{Loader, Pictures};
-use percept_bags::Recording;
+use percept_bags::{ABOUT, Recording};
 use percept_geometry::{Pose, SensorFrame, SensorKind, SensorSpec, Timestamp};
 use percept_ros::FrameTree;
 use percept_ros::topics::{self, Content, PAIR_APART_NS, Topic, sensor_id};
@@ -110,6 +110,7 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
         }
         None => (recorded.stamps.clone(), Pictures::Each),
     };
+    let about = recording.metadata(ABOUT).cloned().collect();
     let rising = stamps::strictly_increasing(&stamps_as_recorded);
     Ok(Dataset {
         name: super::files::name(path),
@@ -122,6 +123,7 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<Dataset, Format
         restamped: stamps::restamped(&stamps_as_recorded, &rising),
         notes,
         topics,
+        about,
         stamps: rising.into(),
         beside: beside.into(),
         source: Arc::new(Loader::new(recording, recorded.clone(), primary, pictures, options.limits)),

@@ -6,7 +6,7 @@ use percept_geometry::{Pose, Timestamp};
 use percept_pipeline::TrajectoryEntry;
 use percept_service::reason;
 use percept_service::{Caller, Error, ErrorCode, Event, admission, observe};
-use percept_wire::convert::{fleet, recordings, required, sessions, updates};
+use percept_wire::convert::{fleet, geometry, recordings, required, sessions, updates};
 use percept_wire::{params, v1};
 use std::sync::Arc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -133,6 +133,16 @@ impl v1::sessions_service_server::SessionsService for Api {
         let snapshot = caller.snapshot("SessionsService/GetPose", &r.session_id).await.map_err(status::grpc)?;
         let pose = snapshot.pose.as_ref().map(sessions::pose_to);
         Ok(Response::new(v1::GetPoseResponse { pose, pose_at: None }))
+    }
+
+    async fn set_pose(&self, r: Request<v1::SetPoseRequest>) -> Answer<v1::SetPoseResponse> {
+        let caller = self.caller(&r)?;
+        let r = r.get_ref();
+        // Who may not change the session learns nothing of what is wrong with the pose.
+        caller.may_with("SessionsService/SetPose", &r.session_id).await.map_err(status::grpc)?;
+        let t_map_base = geometry::pose("t_map_base", r.t_map_base.as_ref()).map_err(status::grpc)?;
+        let (pose, compared) = caller.set_pose(&r.session_id, t_map_base).await.map_err(status::grpc)?;
+        Ok(Response::new(v1::SetPoseResponse { pose: Some(sessions::pose_to(&pose)), compared }))
     }
 
     async fn lookup_transform(&self, r: Request<v1::LookupTransformRequest>) -> Answer<v1::LookupTransformResponse> {

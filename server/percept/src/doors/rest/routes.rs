@@ -360,6 +360,7 @@ pub(super) static ROUTES: &[Route] = &[
     patch("/v1/sessions/{session_id}", "SessionsService/UpdateSession", OF_SESSION, "session", tagged!(update_session, UpdateSessionResponse, session)),
     delete("/v1/sessions/{session_id}", "SessionsService/DeleteSession", SESSION, unary!(Message delete_session)),
     get("/v1/sessions/{session_id}/pose", "SessionsService/GetPose", SESSION, unary!(Message get_pose)),
+    post("/v1/sessions/{session_id}/pose", "SessionsService/SetPose", SESSION, unary!(Message set_pose)),
     get("/v1/sessions/{session_id}/transform", "SessionsService/LookupTransform", SESSION, unary!(Message lookup_transform)),
     get("/v1/sessions/{session_id}/trajectory", "SessionsService/GetTrajectory", SESSION, joined!(get_trajectory, join_trajectory)),
     get("/v1/sessions/{session_id}/keyframes", "SessionsService/ListKeyframes", SESSION, unary!(Message list_keyframes)),

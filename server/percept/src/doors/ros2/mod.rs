@@ -13,6 +13,7 @@ mod motion;
 mod mounts;
 mod numbers;
 mod pairs;
+mod pointed_out;
 mod publish;
 mod robot;
 mod settings;

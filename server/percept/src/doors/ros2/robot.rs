@@ -10,18 +10,17 @@ use super::link::{self, Found};
 use super::mounts::Mounts;
 use super::numbers::Numbers;
 use super::pairs::{Half, Pairs};
+use super::pointed_out::{self, PointedOut};
 use super::publish::{Goal, Shared};
 use super::settings::Robot;
 use percept_geometry::sensor::OdometrySample;
 use percept_geometry::{Pose, SensorData, SensorFrame, SensorId, SensorKind, SensorSpec, Timestamp};
+use percept_ros::Message;
 use percept_ros::cdr::Encoding;
-use percept_ros::messages::{
-    CameraInfo, CompressedImage, Image, Imu, LaserScan, Odometry, PointCloud2, PoseStamped, TFMessage,
-};
+use percept_ros::messages::{CameraInfo, CompressedImage, Image, Imu, LaserScan, Odometry, PointCloud2, TFMessage};
 use percept_ros::readings::{Reading, reading};
 use percept_ros::rmw_zenoh::Attachment;
 use percept_ros::topics::{Content, PAIR_APART_NS};
-use percept_ros::{Message, convert};
 use percept_service::{Caller, Error, IncomingFrame, NewSession, OverloadPolicy, SensorDeclaration, observe, reason};
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,8 +36,6 @@ const LOOK: Duration = Duration::from_millis(250);
 const TOKENS: usize = 256;
 /// Odometry by transforms is only taken when no topic of odometry has come by then.
 const NO_ODOMETRY: Duration = Duration::from_secs(3);
-/// The topic on which RViz says where to go.
-const GOAL: &str = "goal_pose";
 
 /// What listens to one robot.
 pub(super) struct Listener<'a> {
@@ -46,7 +43,7 @@ pub(super) struct Listener<'a> {
     robot: &'a Robot,
     caller: Caller,
     shared: Arc<Shared>,
-    goals: mpsc::Sender<Goal>,
+    pointed_out: PointedOut,
     inbox: Inbox,
     book: Book,
     /// Alive as long as they are wanted, by topic.
@@ -87,7 +84,7 @@ impl<'a> Listener<'a> {
             robot,
             caller,
             shared,
-            goals,
+            pointed_out: PointedOut::new(goals),
             inbox,
             book: Book::default(),
             subscribers: BTreeMap::new(),
@@ -135,7 +132,7 @@ impl<'a> Listener<'a> {
     /// Subscribes to a topic that is wanted.
     async fn look_at(&mut self, found: Option<Found>) -> Result<(), Failure> {
         let Some(found) = found else { return Ok(()) };
-        let is_goal = found.topic == self.robot.topic(GOAL) && found.type_name == PoseStamped::TYPE_NAME;
+        let is_pointed_out = pointed_out::is_wanted(self.robot, &found);
         self.shared.note(&found, self.robot);
         if found.is_of_other_definition {
             let words = format!(
@@ -146,7 +143,7 @@ impl<'a> Listener<'a> {
             tracing::warn!(session = self.robot.session, topic = found.topic, words, "another definition");
             self.strange.insert(found.topic.clone(), words);
         }
-        let is_wanted = if is_goal {
+        let is_wanted = if is_pointed_out {
             !self.subscribers.contains_key(&found.topic)
         } else {
             self.book.add(self.robot, &found.topic, &found.type_name)
@@ -347,8 +344,8 @@ impl<'a> Listener<'a> {
         let sequence = attachment.map_or(0, |a| self.numbers.entry(incoming.topic.to_string()).or_default().of(&a));
         let sent_ns = attachment.map_or(0, |a| a.source_time_ns);
         let name = &*incoming.topic;
-        if *name == *self.robot.topic(GOAL) {
-            return self.goal(&payload.to_bytes());
+        if let Some(taken) = self.pointed_out.take(self.robot, &self.caller, name, &payload.to_bytes()) {
+            return taken;
         }
         self.book.heard(name, self.began.elapsed());
         let Some(heard) = self.book.topics.get(name) else { return Ok(()) };
@@ -482,20 +479,6 @@ impl<'a> Listener<'a> {
             }
         }
         taken.map_err(|e| Error::invalid(reason::MESSAGE_INVALID, "", e.to_string()))
-    }
-
-    fn goal(&self, bytes: &[u8]) -> Result<(), Error> {
-        let message = PoseStamped::decode(bytes).map_err(no_message)?;
-        let frame = message.header.frame_id.trim_start_matches('/');
-        if !frame.is_empty() && frame != self.robot.map_frame {
-            let words = format!("the goal is in {frame}; give it in {}", self.robot.map_frame);
-            return Err(Error::invalid(reason::OUT_OF_RANGE, "header.frame_id", words));
-        }
-        let pose = convert::pose(&message.pose);
-        let goal = pose.map_err(|e| Error::invalid(reason::MESSAGE_INVALID, "pose", e.to_string()))?;
-        // One that is being planned to is as good as forgotten when the next comes.
-        let _ = self.goals.try_send(Goal { t_map_goal: goal });
-        Ok(())
     }
 
     /// Reads a message, or a depth image and its colour, and hands it on.

@@ -26,6 +26,15 @@ use protocol::{Channel, ClientChannel, Level, SUBPROTOCOLS, Said};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+/// A pose that a client has published, in the map; else what is wrong with it.
+fn in_map<E: std::fmt::Display>(read: Result<(&str, percept_ros::messages::Pose), E>) -> Result<Pose, String> {
+    let (frame, pose) = read.map_err(|error| format!("cannot be read: {error}"))?;
+    if frame.trim_start_matches('/') != MAP {
+        return Err(format!("is in frame {frame:?}; set the display frame to {MAP:?}"));
+    }
+    percept_ros::convert::pose(&pose).map_err(|error| format!("cannot be taken: {error}"))
+}
+
 /// Frames of the map and of the robot, as REP-105 calls them.
 const MAP: &str = "map";
 const BASE: &str = "base_link";
@@ -257,27 +266,39 @@ impl Viewer {
         let Some(channel) = self.client.get(&id) else {
             return self.warn("topics", &format!("you publish by channel {id}, which was not advertised")).await;
         };
-        if !channel.brings::<PoseStamped<'_>>() {
-            let words = format!(
-                "{} has {} as {}: goals alone are taken, geometry_msgs/msg/PoseStamped as cdr",
-                channel.topic, channel.schema_name, channel.encoding
-            );
-            return self.warn("topics", &words).await;
+        if channel.brings::<PoseStamped<'_>>() {
+            let goal = PoseStamped::decode(message).map(|goal| (goal.header.frame_id, goal.pose));
+            return match in_map(goal) {
+                Ok(t_map_goal) => self.plan(&t_map_goal).await,
+                Err(words) => self.warn("goal", &format!("the goal {words}")).await,
+            };
         }
-        let goal = match PoseStamped::decode(message) {
-            Ok(goal) if goal.header.frame_id.trim_start_matches('/') == MAP => goal.pose,
-            Ok(goal) => {
-                let words =
-                    format!("the goal is in frame {:?}; set the display frame to {MAP:?}", goal.header.frame_id);
-                return self.warn("goal", &words).await;
-            }
-            Err(error) => return self.warn("goal", &format!("the goal cannot be read: {error}")).await,
+        if channel.brings::<PoseWithCovarianceStamped<'_>>() {
+            let place = PoseWithCovarianceStamped::decode(message).map(|told| (told.header.frame_id, told.pose.pose));
+            return match in_map(place) {
+                Ok(t_map_base) => self.place(t_map_base).await,
+                Err(words) => self.warn("place", &format!("the pose {words}")).await,
+            };
+        }
+        let words = format!(
+            "{} has {} as {}: taken are goals, geometry_msgs/msg/PoseStamped, and where the robot is, \
+             geometry_msgs/msg/PoseWithCovarianceStamped, as cdr",
+            channel.topic, channel.schema_name, channel.encoding
+        );
+        self.warn("topics", &words).await
+    }
+
+    /// Says where the robot is.
+    async fn place(&mut self, t_map_base: Pose) -> Alive {
+        // As a request of any other's.
+        let placed = match self.service.caller(self.caller.context().clone()) {
+            Ok(caller) => caller.set_pose(&self.session, t_map_base).await,
+            Err(error) => Err(error),
         };
-        let t_map_goal = match percept_ros::convert::pose(&goal) {
-            Ok(t_map_goal) => t_map_goal,
-            Err(error) => return self.warn("goal", &format!("the goal cannot be taken: {error}")).await,
-        };
-        self.plan(&t_map_goal).await
+        match placed {
+            Ok(_) => self.text(protocol::remove_status("place")).await,
+            Err(error) => self.warn("place", &error.to_string()).await,
+        }
     }
 
     async fn plan(&mut self, t_map_goal: &Pose) -> Alive {
