@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Mapping, Sequence
 from typing import Any
 
 from .. import plot as picture
+from .._arrays import Array
 from .._convert import drawing, exploration, geometry, navigation, sensors, sessions
 from .._sender import FrameSender
 from ..errors import AlreadyExists, WrongType
@@ -176,10 +177,10 @@ class AsyncSession(AsyncSessionBound, FrameSender[Awaitable[FrameResult]]):
         return await self._transport.call(sessions.pose_at(self.session_id, at_ns))
 
     async def set_pose(self, t_map_base: Pose | Array) -> PoseEstimate:
-        """Says where the robot is, a pose or its (4, 4) matrix, base to map, as RViz' "2D Pose Estimate" does:
-        of one that was not found, or in a wrong place. It answers with the next frame that moves the pose:
-        where the robot is by what it sees within a metre and half a radian of it, tentatively, until views
-        from elsewhere agree. Where nobody has mapped the pose is believed.
+        """Says where the robot is, a pose or its (4, 4) matrix, base to map, as RViz' "2D Pose Estimate"
+        does: of one that was not found, or in a wrong place. It answers with the next frame that moves the
+        pose: where the robot is by what it sees within a metre and half a radian of it, tentatively, until
+        views from elsewhere agree. Where nobody has mapped the pose is believed.
 
         Raises FailedPrecondition, and nothing is changed: POSE_REFUTED if what it sees does not fit there,
         ROBOT_SILENT if no frame comes within five seconds, MAP_EMPTY without a map, POSE_NOT_COMPARABLE for

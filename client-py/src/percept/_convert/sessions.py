@@ -8,8 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from .. import _rpc
+from .._arrays import Array
 from .._call import Call, ChunkedCall, PagedCall
 from ..errors import InvalidArgument, WrongType
+from ..types.geometry import Pose
 from ..types.navigation import Zone, ZoneMask
 from ..types.poses import PoseAt, PoseEstimate, Scale, TrackingState, Transform
 from ..types.sensors import SensorSpec
@@ -272,7 +274,9 @@ def pose_at(session_id: str, at_ns: int) -> Call[service.GetPoseRequest, service
 def set_pose(
     session_id: str, t_map_base: Pose | Array
 ) -> Call[service.SetPoseRequest, service.SetPoseResponse, PoseEstimate]:
-    request = service.SetPoseRequest(session_id=session_id, t_map_base=geometry.pose_to(t_map_base, "t_map_base"))
+    request = service.SetPoseRequest(
+        session_id=session_id, t_map_base=geometry.pose_to(t_map_base, "t_map_base")
+    )
     return Call(_rpc.SET_POSE, request, lambda a: poses.pose_estimate(a.pose))
 
 
