@@ -151,7 +151,6 @@ fn come_along(before: &Raster, hits: &[End], t_before_now: &Isometry2<f64>) -> V
     let supported_m = SUPPORTED.0 + SUPPORTED.1 * t_before_now.translation.vector.norm();
     let stays = |hit: &End| before.is_near(&hit.p, STAYS_M) && !before.is_near(&(t_before_now * hit.p), supported_m);
     let stay: Vec<bool> = hits.iter().map(|hit| hit.range_m < LOOKED_AT_M && stays(hit)).collect();
-    let is_near = |k: usize| hits[k].range_m < NEAR_M;
     let (mut beyond, mut stay_beyond) = (0usize, 0usize);
     let mut along = vec![];
     let mut first = 0;
@@ -159,15 +158,12 @@ fn come_along(before: &Raster, hits: &[End], t_before_now: &Isometry2<f64>) -> V
         let joins = |k: &usize| stay[*k] == stay[first] && (hits[*k].p - hits[*k - 1].p).norm() < STAYS_M;
         let end = (first + 1..hits.len()).take_while(joins).last().map_or(first + 1, |k| k + 1);
         let is_one = stay[first] && end - first >= LEAST_HITS;
-        for k in first..end {
-            match is_near(k) {
-                true if is_one => along.push(k),
-                true => {}
-                false if hits[k].range_m < LOOKED_AT_M => {
-                    beyond += 1;
-                    stay_beyond += usize::from(is_one);
-                }
-                false => {}
+        for (k, hit) in hits.iter().enumerate().take(end).skip(first) {
+            if hit.range_m < NEAR_M {
+                along.extend(is_one.then_some(k));
+            } else if hit.range_m < LOOKED_AT_M {
+                beyond += 1;
+                stay_beyond += usize::from(is_one);
             }
         }
         first = end;
