@@ -32,7 +32,8 @@ fn session(dir: &std::path::Path, sessions: &str, min_free_mb: u64) -> (Arc<Sess
 fn send(to: &mut Recording, number: i64) {
     let data =
         SensorData::Imu(ImuSample { angular_velocity: Vector3::zeros(), linear_acceleration: Vector3::z() * 9.81 });
-    to.add(SensorFrame { sensor: SensorId::from("imu"), stamp: Timestamp(number), data }, None);
+    let about = || About { params: PipelineParams::default(), num_keyframes: 0 };
+    to.add(SensorFrame { sensor: SensorId::from("imu"), stamp: Timestamp(number), data }, None, about);
 }
 
 fn phase(of: &SessionRecording) -> Option<RecordingPhase> {
