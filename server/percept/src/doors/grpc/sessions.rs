@@ -140,7 +140,8 @@ impl v1::sessions_service_server::SessionsService for Api {
         let r = r.get_ref();
         // Who may not change the session learns nothing of what is wrong with the pose.
         caller.may_with("SessionsService/SetPose", &r.session_id).await.map_err(status::grpc)?;
-        let t_map_base = geometry::pose("t_map_base", r.t_map_base.as_ref()).map_err(status::grpc)?;
+        let told = required("t_map_base", r.t_map_base.as_ref()).map_err(status::grpc)?;
+        let t_map_base = geometry::pose("t_map_base", Some(told)).map_err(status::grpc)?;
         let (pose, compared) = caller.set_pose(&r.session_id, t_map_base).await.map_err(status::grpc)?;
         Ok(Response::new(v1::SetPoseResponse { pose: Some(sessions::pose_to(&pose)), compared }))
     }
