@@ -17,7 +17,7 @@ pub use told::Told;
 
 use crate::frontend::{FoundAt, Frontend, Keyframe, Registered, View};
 use crate::live::{NewestFrames, Seen};
-use crate::map_graph::{MapGraph, MapUpdate, Probed, UnanchoredView};
+use crate::map_graph::{Doubt, MapGraph, MapUpdate, Probed, UnanchoredView};
 use crate::related::RelatedThings;
 use crate::rooms::DividedMap;
 use crate::scene::Scene;
@@ -59,8 +59,8 @@ pub struct Pipeline {
     start: Option<Pose>,
     /// Where the robot is, base to map, if somebody has said so since the newest frame.
     told: Option<Pose>,
-    /// Whether the robot was on probation, by all that is stored of it, until it was seen again.
-    resumes_in_doubt: bool,
+    /// Whether the next frame that is anchored begins a probation: the robot was on one before a restart, or was told where it is.
+    doubt: Doubt,
     /// As counted at the newest keyframe; the map counts itself.
     memory: SessionMemory,
 }
@@ -84,7 +84,7 @@ impl Pipeline {
             found_at: None,
             start: None,
             told: None,
-            resumes_in_doubt: false,
+            doubt: Doubt::None,
             memory: SessionMemory::default(),
             params: Arc::new(params),
         })
@@ -253,7 +253,7 @@ impl Pipeline {
         let frontend = &self.frontend;
         let (unanchored, is_anchored) = (frontend.tracking().unanchored(), frontend.tracking().is_anchored());
         let is_tentative = frontend.tracking().is_tentative();
-        let is_doubtful = is_doubtful || self.resumes_in_doubt;
+        let is_doubtful = is_doubtful || self.doubt != Doubt::None;
         let only_localises = self.params.slam.localisation_only && estimate.state.is_tracking();
         if unanchored.is_none() && !is_tentative && !(is_anchored && (is_doubtful || only_localises)) {
             return estimate;
@@ -277,8 +277,11 @@ impl Pipeline {
             let in_map = self.covariance_of(&estimate);
             // After a restart it is somewhere near, perhaps.
             let was_placed = self.pose.as_ref().is_some_and(|p| p.state.is_tracking() && !p.is_tentative);
-            self.resumes_in_doubt = false;
-            if self.map_graph.doubt(&seen, &in_map, !is_doubtful && was_placed) {
+            let why = match std::mem::replace(&mut self.doubt, Doubt::None) {
+                Doubt::None if is_doubtful || !was_placed => Doubt::LooksAlike,
+                why => why,
+            };
+            if self.map_graph.doubt(&seen, &in_map, why) {
                 self.frontend.doubt();
             }
             None

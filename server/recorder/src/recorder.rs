@@ -163,15 +163,15 @@ impl Recorder {
         let num_bytes = item.num_bytes();
         let mut queue = self.shared.lock();
         if queue.is_ending || queue.state.error.is_some() {
-            queue.state.dropped.ended += 1;
+            queue.state.dropped.ended += item.num_counted();
             return;
         }
         if queue.waiting_bytes.saturating_add(num_bytes) > self.max_waiting_bytes {
-            queue.state.dropped.too_slow += 1;
+            queue.state.dropped.too_slow += item.num_counted();
             return;
         }
         let Some(place) = self.room.take(num_bytes) else {
-            queue.state.dropped.no_shared_room += 1;
+            queue.state.dropped.no_shared_room += item.num_counted();
             return;
         };
         queue.waiting_bytes += num_bytes;
@@ -215,6 +215,11 @@ fn check(name: &str) -> Result<(), RecordError> {
 }
 
 impl Item {
+    /// What is counted where it is dropped: what is said of the recording is none of its messages.
+    fn num_counted(&self) -> u64 {
+        u64::from(!matches!(self, Self::About(_)))
+    }
+
     /// What it takes while it waits, bytes.
     fn num_bytes(&self) -> usize {
         let frame = match self {
@@ -243,7 +248,7 @@ impl Queue {
         if self.state.error.is_none() {
             (self.state.error, self.state.is_disk_full) = (Some(error), is_disk_full);
         }
-        self.state.dropped.ended += self.items.len() as u64;
+        self.state.dropped.ended += self.items.iter().map(|(item, _)| item.num_counted()).sum::<u64>();
         self.items.clear();
         self.waiting_bytes = 0;
     }

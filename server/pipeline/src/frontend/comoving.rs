@@ -18,7 +18,8 @@ const APART_M: f64 = 0.5;
 const KEPT_EVERY_M: f64 = 0.1;
 /// Who comes along is this near to the sensor, metres.
 const NEAR_M: f64 = 3.0;
-/// Up to here it is looked whether other things stay in base, too, metres: then the robot stands, and its wheels turn.
+/// Up to here it is looked whether other things stay in base, too, metres: then the robot stands, and its wheels turn. Farther away the
+/// walls of a corridor are met at a slant, by single hits.
 const LOOKED_AT_M: f64 = 1.5 * NEAR_M;
 /// What comes along keeps its distance to so much over the way between both scans, metres: less than that way, so that nothing stays by
 /// itself.
@@ -42,6 +43,8 @@ const ASTRAY_M: f64 = 0.1;
 #[derive(Debug, Clone)]
 struct Seen {
     ends: Raster,
+    /// The sensor in base.
+    eye: Point2<f64>,
     /// Base where wheels have led, and their way up to there, metres.
     t_way_base: Isometry2<f64>,
     way_m: f64,
@@ -90,7 +93,8 @@ impl Comoving {
         let t_way_base = self.t_way_base * self.told;
         let way_m = self.way_m + self.told.translation.vector.norm();
         let ends = Raster::of(&hits, planar.scan.angle_increment_rad.abs());
-        self.newest = Some(Seen { ends, t_way_base, way_m, t_odom_base: None });
+        let eye = Point2::from(planar.t_base_sensor.translation.vector.xy());
+        self.newest = Some(Seen { ends, eye, t_way_base, way_m, t_odom_base: None });
         let before = self.kept.iter().rev().find(|seen| {
             let apart = (seen.t_way_base.translation.vector - t_way_base.translation.vector).norm();
             apart >= APART_M
@@ -98,7 +102,7 @@ impl Comoving {
         let was_along = std::mem::replace(&mut self.is_along, false);
         let before = before?;
         let t_before_now = before.t_way_base.inverse() * t_way_base;
-        let along = come_along(&before.ends, &hits, &t_before_now);
+        let along = come_along(before, &hits, &t_before_now);
         if along.is_empty() {
             return None;
         }
@@ -148,8 +152,9 @@ impl Comoving {
 }
 
 /// Numbers of the hits that come along; none if they are too many.
-fn come_along(before: &Raster, hits: &[End], t_before_now: &Isometry2<f64>) -> Vec<usize> {
-    let stays = |hit: &End| before.is_near(&hit.p, STAYS_M) && !before.is_near(&(t_before_now * hit.p), SUPPORTED_M);
+fn come_along(before: &Seen, hits: &[End], t_before_now: &Isometry2<f64>) -> Vec<usize> {
+    let Seen { ends, eye, .. } = before;
+    let stays = |hit: &End| ends.is_near(&hit.p, STAYS_M) && !ends.is_near(&(t_before_now * hit.p), SUPPORTED_M);
     let stay: Vec<bool> = hits.iter().map(|hit| hit.range_m < LOOKED_AT_M && stays(hit)).collect();
     let (mut beyond, mut stay_beyond) = (0usize, 0usize);
     let mut along = vec![];
@@ -161,7 +166,8 @@ fn come_along(before: &Raster, hits: &[End], t_before_now: &Isometry2<f64>) -> V
         for (k, hit) in hits.iter().enumerate().take(end).skip(first) {
             if hit.range_m < NEAR_M {
                 along.extend(is_one.then_some(k));
-            } else if hit.range_m < LOOKED_AT_M {
+            } else if hit.range_m < LOOKED_AT_M && !(is_one && ends.hides(eye, &(t_before_now * hit.p))) {
+                // What the scan before could not see from there says nothing.
                 beyond += 1;
                 stay_beyond += usize::from(is_one);
             }
@@ -240,6 +246,17 @@ impl Raster {
         if let Some(i) = Self::index(x, y) {
             self.is_crossed[i] = true;
         }
+    }
+
+    /// Whether a surface lies between two points, and not at the second one.
+    fn hides(&self, from: &Point2<f64>, to: &Point2<f64>) -> bool {
+        let way = to - from;
+        let steps = (way.norm() / CELL_M - STAYS_M / CELL_M).floor().max(0.0) as usize;
+        let step = way.normalize() * CELL_M;
+        (1..=steps).any(|k| {
+            let (x, y) = Self::cell(&(from + step * k as f64));
+            Self::index(x, y).is_some_and(|i| self.is_crossed[i])
+        })
     }
 
     /// Whether a surface crosses a cell within so much of a point's, to each side.

@@ -21,7 +21,7 @@ mod trajectory;
 mod update;
 mod worker;
 
-pub(crate) use probation::Probed;
+pub(crate) use probation::{Doubt, Probed};
 pub(crate) use relocaliser::UnanchoredView;
 pub(crate) use restore::End;
 #[cfg(test)]

@@ -57,6 +57,17 @@ pub(crate) enum Probed {
     Withdrawn,
 }
 
+/// Why a robot that is in the map may be elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Doubt {
+    /// It is certain to be there.
+    None,
+    /// What it sees fits there, and may fit elsewhere.
+    LooksAlike,
+    /// Somebody says so, and nothing that it sees can say otherwise.
+    WordAlone,
+}
+
 /// A robot that was found, until that is certain.
 #[derive(Debug)]
 pub(super) struct Probation {
@@ -76,6 +87,8 @@ pub(super) struct Probation {
     newest: VecDeque<bool>,
     /// Views from elsewhere that agreed.
     agreed: usize,
+    /// Whether it may be believed where nobody has mapped: not of a word alone.
+    may_be_unseen: bool,
     /// Whether a view is being compared.
     pub(super) is_asked: bool,
 }
@@ -94,6 +107,7 @@ impl Probation {
             agreed_after_m: way_m,
             newest: VecDeque::new(),
             agreed: 0,
+            may_be_unseen: true,
             is_asked: false,
         }
     }
@@ -135,7 +149,8 @@ impl Probation {
 
     /// Whether enough other surroundings agree, or nobody has mapped them.
     fn is_sure(&self, way_m: f64) -> bool {
-        self.agreed >= AGREE || way_m - self.begun_after_m >= UNSEEN * self.elsewhere_m
+        let is_past = self.may_be_unseen && way_m - self.begun_after_m >= UNSEEN * self.elsewhere_m;
+        self.agreed >= AGREE || is_past
     }
 
     /// What has come of it, after so long a way since the robot was lost, metres.
@@ -157,7 +172,7 @@ impl Probation {
 impl MapGraph {
     /// A robot that is in the map is to be there only as long as what it sees agrees, and adds nothing to the map until that is certain,
     /// if it is not already; whether it can be. `in_map` is the covariance of its pose.
-    pub(crate) fn doubt(&mut self, view: &UnanchoredView<'_>, in_map: &Covariance6, is_certain: bool) -> bool {
+    pub(crate) fn doubt(&mut self, view: &UnanchoredView<'_>, in_map: &Covariance6, why: Doubt) -> bool {
         let t_odom_base = view.estimate.t_odom_base;
         let Some((keyframe, t_keyframe_base)) = self.nearest_keyframe(&(self.t_map_odom * t_odom_base)) else {
             return false;
@@ -170,8 +185,9 @@ impl MapGraph {
         let at = FoundAt { t_odom_base, of_odometry: view.estimate.covariance, in_map: *in_map };
         self.relocaliser.begin_anew();
         self.atlas.begin_anew();
-        let agreed = if is_certain { AGREE } else { 0 };
-        let probation = Probation { agreed, ..Probation::new(found, at, &(view.kept)(), 0.0) };
+        let agreed = if why == Doubt::None { AGREE } else { 0 };
+        let may_be_unseen = why != Doubt::WordAlone;
+        let probation = Probation { agreed, may_be_unseen, ..Probation::new(found, at, &(view.kept)(), 0.0) };
         self.relocaliser.probation = Some(probation);
         self.gather(view);
         true

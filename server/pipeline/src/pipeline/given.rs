@@ -3,6 +3,7 @@
 use super::Pipeline;
 use crate::NewKeyframe;
 use crate::frontend::View;
+use crate::map_graph::Doubt;
 use percept_geometry::Pose;
 use percept_mapping::given::GivenView;
 use percept_slam::ToldPlace;
@@ -39,7 +40,8 @@ impl Pipeline {
         let Some(start) = self.start.take() else { return };
         let t_odom_base = self.map_graph.t_map_odom().inverse() * start;
         let near = self.map_graph.given_near(kind, &t_odom_base);
-        let place = self.frontend.start_at(view, &t_odom_base, &near);
-        self.resumes_in_doubt |= place == Some(ToldPlace::Likely);
+        if self.frontend.start_at(view, &t_odom_base, &near) == Some(ToldPlace::Likely) {
+            self.doubt = Doubt::LooksAlike;
+        }
     }
 }

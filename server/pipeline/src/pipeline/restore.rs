@@ -1,7 +1,7 @@
 //! A session goes on from what was stored of it.
 
 use super::Pipeline;
-use crate::map_graph::End;
+use crate::map_graph::{Doubt, End};
 use crate::{PoseEstimate, Restored};
 use percept_geometry::Covariance6;
 use percept_mapping::given::is_given;
@@ -24,7 +24,7 @@ impl Pipeline {
             // A robot that only localises in a map that was given starts where it was.
             Some(end) if is_given(&end.sensor) => {
                 self.frontend.wait_to_be_found();
-                (self.start, self.resumes_in_doubt) = (Some(end.t_map_base), true);
+                (self.start, self.doubt) = (Some(end.t_map_base), Doubt::LooksAlike);
             }
             Some(end) => self.resume(&end, &restored),
             None if !restored.keyframes.is_empty() => {
@@ -41,8 +41,9 @@ impl Pipeline {
         let graph = &self.map_graph;
         // Who maps leaves keyframes behind: a robot that is far from the last was on probation.
         let far_m = FAR_KEYFRAMES * self.params.slam.odometry.keyframe.distance_m;
-        self.resumes_in_doubt = end.t_anchor_base.translation.vector.norm() > far_m;
-        let recent = match self.resumes_in_doubt || self.params.slam.localisation_only {
+        let is_doubtful = end.t_anchor_base.translation.vector.norm() > far_m;
+        self.doubt = if is_doubtful { Doubt::LooksAlike } else { Doubt::None };
+        let recent = match is_doubtful || self.params.slam.localisation_only {
             // The newest ones are where it mapped last.
             true => graph.keyframes_near(&end.sensor, &end.t_odom_base),
             false => graph.recent_keyframes(&end.sensor),

@@ -2,7 +2,7 @@
 
 use super::Pipeline;
 use crate::frontend::{FoundAt, View};
-use crate::map_graph::{MapUpdate, UnanchoredView};
+use crate::map_graph::{Doubt, MapUpdate, UnanchoredView};
 use percept_geometry::{Covariance6, Pose, se3};
 use percept_slam::{OdometryEstimate, OdometryKind, TrackingState};
 
@@ -11,7 +11,8 @@ use percept_slam::{OdometryEstimate, OdometryKind, TrackingState};
 pub enum Told {
     /// What it sees lies there, within what people err by; it is there, tentatively, until what it sees elsewhere agrees.
     Placed,
-    /// Nobody has mapped that place, so nothing that it sees can say otherwise: it is there, tentatively.
+    /// Nobody has mapped that place, so nothing that it sees can say otherwise: it is there, tentatively, until what it sees agrees with the
+    /// map.
     Believed,
     /// What it sees does not fit there, or contradicts what was seen there. Nothing was changed.
     Refuted,
@@ -79,7 +80,7 @@ impl Pipeline {
         estimate.state = TrackingState::Tracking;
         self.frontend.go_on_at(view, estimate, &near);
         self.found_at = Some(FoundAt { t_odom_base: estimate.t_odom_base, of_odometry: estimate.covariance, in_map });
-        self.resumes_in_doubt = true;
+        self.doubt = if told == Told::Placed { Doubt::LooksAlike } else { Doubt::WordAlone };
         Some(told)
     }
 }

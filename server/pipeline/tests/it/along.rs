@@ -118,6 +118,28 @@ fn what_comes_along_in_a_corridor_does_not_take_the_pose_along() {
 }
 
 #[test]
+fn who_follows_between_pillars_before_walls_does_not_take_the_pose_along() {
+    let mut plan = Plan::default();
+    plan.thing(-6.0, -4.0, 32.0, 4.0);
+    for k in 0..16 {
+        let x = -3.0 + 2.0 * f64::from(k);
+        plan.thing(x - 0.15, 1.05, x + 0.15, 1.35);
+        plan.thing(x - 0.15, -1.35, x + 0.15, -1.05);
+    }
+    let way = drive(&[(0.0, 0.0), (24.0, 0.0)]);
+    let mut robot = Robot::at(way[0], 10.0, 1.03);
+    let mut worst = 0f64;
+    for (i, at) in way.iter().enumerate() {
+        let (off, _) = robot.see(&beside(&plan, *at, (0.4, (-0.8, 0.0))), *at);
+        worst = worst.max(off);
+        if i % 40 == 0 {
+            eprintln!("{i} {off}");
+        }
+    }
+    assert!(worst < 0.3, "{worst} m off");
+}
+
+#[test]
 fn a_robot_whose_wheels_spin_stays_where_it_is() {
     for (place, x) in [("at a wall", 20.0), ("at doors", 22.0), ("beside somebody", 20.0)] {
         let mut plan = Plan::of_corridor();

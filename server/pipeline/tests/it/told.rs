@@ -29,6 +29,13 @@ fn off(pose: &PoseEstimate, t_world_map: &Pose, (x, y, _): (f64, f64, f64)) -> f
 
 #[test]
 fn a_robot_that_was_carried_off_goes_on_where_it_is_told_to_be() {
+    for off_m in [(0.4, -0.3), (0.9, 0.0), (0.0, -0.9)] {
+        carried_off_and_told(off_m);
+    }
+}
+
+/// Told so far beside where it is, metres.
+fn carried_off_and_told(off_m: (f64, f64)) {
     let plan = Plan::of_rooms(false);
     let (mut pipeline, t_world_map) = mapped(&plan);
     let keyframes = pipeline.snapshot().keyframes.len();
@@ -38,7 +45,7 @@ fn a_robot_that_was_carried_off_goes_on_where_it_is_told_to_be() {
     for (i, at) in way.iter().enumerate() {
         if i == 0 {
             // Pointed out by hand.
-            let t_world_told = se3::from_xy_yaw(at.0 + 0.4, at.1 - 0.3, at.2 + 0.2);
+            let t_world_told = se3::from_xy_yaw(at.0 + off_m.0, at.1 + off_m.1, at.2 + 0.2);
             pipeline.tell_pose(Some(t_world_map.inverse() * t_world_told));
         }
         let report = pipeline.process(&seen(&plan, *at, 1000.0 + 0.1 * i as f64)).unwrap();
@@ -46,6 +53,7 @@ fn a_robot_that_was_carried_off_goes_on_where_it_is_told_to_be() {
         assert_eq!(report.told, (i == 0).then_some(Told::Placed), "{i}");
         assert!(pose.state.is_tracking() && off(&pose, &t_world_map, *at) < 0.1, "{i}: {pose:?}");
         assert_eq!(pose.is_relocalised, i == 0, "{i}");
+        assert!(pose.covariance[(0, 0)].hypot(pose.covariance[(1, 1)]).sqrt() < 0.2, "{i}: {}", pose.covariance);
         if i == 0 {
             assert!(pose.is_tentative, "another view has to agree");
         } else {
@@ -89,6 +97,15 @@ fn a_word_is_believed_where_nobody_has_mapped_and_without_a_map_there_is_nowhere
     assert_eq!(report.told, Some(Told::Believed));
     assert!((pose.t_map_base.translation.vector - far.translation.vector).norm() < 1e-9 && pose.is_tentative);
     assert!(pose.covariance[(0, 0)].sqrt() > 0.3, "no more sure than who pointed");
+
+    // On through the building, nine tenths of it elsewhere than told: nothing agrees, and nothing is drawn.
+    let keyframes = pipeline.snapshot().keyframes.len();
+    for (i, at) in drive(&[(1.0, 1.0), (23.0, 1.0), (1.0, 1.0)]).iter().enumerate() {
+        pipeline.process(&seen(&plan, *at, 1000.1 + 0.1 * i as f64)).unwrap();
+        let pose = pipeline.snapshot().pose.unwrap();
+        assert!(pose.is_tentative || pose.state.is_lost(), "{i}: certain, where nobody has been");
+    }
+    assert_eq!(pipeline.snapshot().keyframes.len(), keyframes);
 
     let mut empty = crate::plan::pipeline();
     empty.tell_pose(Some(far));

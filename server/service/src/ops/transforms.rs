@@ -64,6 +64,11 @@ struct Place {
     moving: Moving,
 }
 
+fn no_map() -> Error {
+    let words = "there is no map yet that the robot could be in; send frames, or import a map, first";
+    Error::new(ErrorCode::FailedPrecondition, reason::MAP_EMPTY, words)
+}
+
 impl Service {
     /// Where the robot was at a time, and the version of the map that this refers to.
     ///
@@ -92,6 +97,10 @@ impl Service {
                 let words = "the session is of mode INGEST_ONLY: it has no map; use one of mode MAPPING";
                 return Err(Error::new(ErrorCode::FailedPrecondition, reason::SESSION_NOT_MAPPING, words));
             }
+            // Who has no map need not wait for a frame to hear so.
+            if session.snapshot().keyframes.is_empty() {
+                return Err(no_map());
+            }
             session.tell_pose(t_map_base).await
         };
         let told = self.registry.awake(session, tell).await?;
@@ -104,10 +113,7 @@ impl Service {
                 "what the robot sees does not fit the map within a metre and half a radian of t_map_base; nothing was changed: point \
                  it out more precisely, or let it be looked for",
             ),
-            Some((Told::NoMap, _)) => refuse(
-                reason::MAP_EMPTY,
-                "there is no map yet that the robot could be in; send frames, or import a map, first",
-            ),
+            Some((Told::NoMap, _)) => Err(no_map()),
             Some((Told::CannotTell, _)) => refuse(
                 reason::POSE_NOT_COMPARABLE,
                 "a camera alone cannot be compared with the map where it is said to be; let it be looked for",

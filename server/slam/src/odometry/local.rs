@@ -302,7 +302,9 @@ impl LocalOdometry {
         }
         let (way, turn) = TOLD;
         let around = Prediction::within(self.t_odom_base, diagonal(way / 3.0, turn / 3.0));
-        match self.model.register(&around) {
+        // Frames that follow each other are looked for less far away.
+        let searched = self.model.search(&self.t_odom_base, way, turn).and_then(|found| found.into_iter().next());
+        match searched.map_or_else(|| self.model.register(&around), Ok) {
             Ok(found) if self.model.is_certain(&found, After::Word) => {
                 self.t_odom_base = found.t_odom_base;
                 match self.model.is_certain(&found, After::Gap) {
