@@ -132,9 +132,6 @@ fn who_follows_between_pillars_before_walls_does_not_take_the_pose_along() {
     for (i, at) in way.iter().enumerate() {
         let (off, _) = robot.see(&beside(&plan, *at, (0.4, (-0.8, 0.0))), *at);
         worst = worst.max(off);
-        if i % 40 == 0 {
-            eprintln!("{i} {off}");
-        }
     }
     assert!(worst < 0.3, "{worst} m off");
 }
