@@ -129,7 +129,7 @@ fn who_follows_between_pillars_before_walls_does_not_take_the_pose_along() {
     let way = drive(&[(0.0, 0.0), (24.0, 0.0)]);
     let mut robot = Robot::at(way[0], 10.0, 1.03);
     let mut worst = 0f64;
-    for (i, at) in way.iter().enumerate() {
+    for at in &way {
         let (off, _) = robot.see(&beside(&plan, *at, (0.4, (-0.8, 0.0))), *at);
         worst = worst.max(off);
     }
