@@ -20,8 +20,12 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory):
-    """One server that tests share; each has sessions of its own."""
-    server = Server(tmp_path_factory.mktemp("percept") / "data")
+    """One server that tests share; each has sessions of its own. What several share does not fall asleep, however slow
+    they are: of a session that was woken nobody knows where its robot is before its next frame.
+    """
+    folder = tmp_path_factory.mktemp("percept")
+    (folder / "shared.toml").write_text("[limits]\nsleep_after_s = 86400\n")
+    server = Server(folder / "data", "--config", str(folder / "shared.toml"))
     yield server
     assert server.stop() == 0, server.tail()
 

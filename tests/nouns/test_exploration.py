@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from percept import (
+    Client,
     CoverageOptions,
     CoveragePath,
     FailedPrecondition,
@@ -17,6 +18,7 @@ from percept import (
     NoFlight,
     NoPath,
     PathOptions,
+    StoreyOptions,
     Zone,
     ZoneMask,
 )
@@ -194,3 +196,25 @@ def test_questions_that_are_none_are_refused_with_their_field(hall, lidar_sessio
     with pytest.raises(FailedPrecondition) as error:
         laser_session.plan_flight((1, 0, 1))
     assert error.value.reason == "LAYER_OFF"
+
+
+def test_what_is_wrong_with_a_question_is_told_also_where_nobody_knows_where_the_robot_is(own_server):
+    with Client(own_server.grpc) as client:
+        session = client.sessions.create("robot", sensors=[world.LASER])
+        for i, pose in enumerate(world.drive(12)):
+            session.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+    assert own_server.stop() == 0
+    own_server.start()
+    nan = float("nan")
+    with Client(own_server.grpc) as client:
+        session = client.session("robot")
+        assert isinstance(session.plan((0.5, 0.0)), NoPath), "no frame has come since"
+        with pytest.raises(InvalidArgument) as error:
+            session.plan((nan, 0.0))
+        assert error.value.field == "goal"
+        with pytest.raises(InvalidArgument) as error:
+            session.plan_coverage(options=PathOptions(zones=[Zone(polygon=[(0, 0), (1, 0)])]))
+        assert error.value.field.startswith("options.zones")
+        with pytest.raises(FailedPrecondition) as off:
+            session.plan((0.5, 0.0), options=PathOptions(storey=StoreyOptions(storey="lowest")))
+        assert off.value.reason == "LAYER_OFF"

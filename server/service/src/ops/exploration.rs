@@ -1,7 +1,7 @@
 //! Paths that cover, frontiers, paths in space.
 
 use super::maps::stamp_of;
-use super::navigation::{PathOptions, PlanRequest, ground, known_pose, plan_error};
+use super::navigation::{PathOptions, PlanRequest, check, ground, known_pose, plan_error};
 use crate::{Error, ErrorCode, Result, Service, Zones, reason};
 use nalgebra::{Point2, Point3, Vector2};
 use percept_geometry::{Aabb3, GridGeometry, Timestamp};
@@ -203,12 +203,15 @@ fn covered(
     coverage: &CoverageParams,
     max_cells: usize,
 ) -> Result<Explored<CoverageOutcome>> {
-    let start = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot));
-    let Some(start) = start else { return Ok(Explored::of(snapshot, None)) };
     let params = limited(request.params.unwrap_or(snapshot.params.planning), max_cells);
     // Who stands in the way for now will be elsewhere before all is covered.
     let options = PathOptions { is_map_only: true, ..request.options.in_zones(zones) };
     let grid = ground(snapshot, &options, params.max_cells)?;
+    let start = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot));
+    let Some(start) = start else {
+        check(Point2::origin(), &params, &options)?;
+        return Ok(Explored::of(snapshot, None));
+    };
     Ok(Explored::of(snapshot, Some(coverage_on(&grid, start, coverage, &params, &options)?)))
 }
 
@@ -239,9 +242,13 @@ fn flown(snapshot: &Snapshot, question: &FlightQuestion, stored: &Zones) -> Resu
         let pose = snapshot.pose.as_ref().filter(|_| known_pose(snapshot).is_some())?;
         Some(Point3::from(pose.t_map_base.translation.vector))
     };
-    let Some(start) = question.start.or_else(robot) else { return Ok(Explored::of(snapshot, None)) };
     let params = FlightParams { max_voxels: question.params.max_voxels.min(MAX_FLIGHT_VOXELS), ..question.params };
     params.validate().map_err(flight_error)?;
+    // What is wrong with a question is told also where nobody knows where the robot is.
+    if let Some(&value) = question.goal.iter().find(|v| !v.is_finite()) {
+        return Err(flight_error(PlanError::NotFinite { field: "goal", value }));
+    }
+    let Some(start) = question.start.or_else(robot) else { return Ok(Explored::of(snapshot, None)) };
     if question.region.is_none() && snapshot.layers.voxels.tile_keys().next().is_none() {
         return Err(Error::new(ErrorCode::FailedPrecondition, reason::MAP_EMPTY, "nothing was mapped yet"));
     }

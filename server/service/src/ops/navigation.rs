@@ -246,13 +246,14 @@ pub(super) fn no_start(snapshot: &Snapshot) -> NoStart {
 /// Coordinates or parameters out of bounds, `GRID_TOO_LARGE`.
 pub fn plan(snapshot: &Snapshot, request: &PlanRequest, max_cells: usize) -> Result<Plan> {
     let (stamp, map_version) = (stamp_of(snapshot), snapshot.map_version);
-    let Some(start) = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot)) else {
-        let no_start = no_start(snapshot);
-        return Ok(Plan { outcome: None, no_start, object: None, map_version, stamp });
-    };
     let mut params = request.params.unwrap_or(snapshot.params.planning);
     params.max_cells = params.max_cells.min(max_cells);
     let grid = ground(snapshot, &request.options, params.max_cells)?;
+    let Some(start) = request.start.map(|start| (start, 0.0)).or(known_pose(snapshot)) else {
+        check(request.goal, &params, &request.options)?;
+        let no_start = no_start(snapshot);
+        return Ok(Plan { outcome: None, no_start, object: None, map_version, stamp });
+    };
     let outcome = on_grid(&grid, start, request.goal, &params, &request.options)?;
     let object = match &outcome {
         PlanOutcome::NoPath { blocking: Some(blocking), .. } => object_at(snapshot, blocking),
@@ -299,6 +300,15 @@ pub fn on_grid(
     let stop = stop.as_ref().map(|stop| stop as &(dyn Fn() -> bool + Sync));
     let masks = options.planning_masks();
     percept_planning::plan_path(grid, &options.request(start, goal, params, &masks, stop)).map_err(plan_error)
+}
+
+/// What is wrong with a question is told also where nobody knows where the robot is.
+///
+/// # Errors
+/// As [`on_grid`], but for the grid.
+pub(super) fn check(goal: Point2<f64>, params: &PlanParams, options: &PathOptions) -> Result<()> {
+    let masks = options.planning_masks();
+    options.request((goal, 0.0), goal, params, &masks, None).validate().map_err(plan_error)
 }
 
 /// The first place of a path on a grid that does not fit.
