@@ -38,7 +38,7 @@ const LAST_OF_CORE: &str = "pipeline";
 
 /// All that the core may use from outside: mathematics, randomness from a seed, threads of the caller's pool.
 const CORE_MAY_USE: [&str; 9] =
-    ["faer", "nalgebra", "rand", "rand_chacha", "rand_distr", "rayon", "rustc-hash", "serde", "thiserror"];
+    ["amd", "nalgebra", "rand", "rand_chacha", "rand_distr", "rayon", "rustc-hash", "serde", "thiserror"];
 
 /// `pipeline` introduces these; they do not know each other.
 const STRANGERS: [&str; 3] = ["slam", "scene", "planning"];

@@ -1,8 +1,5 @@
 //! Where the blocks of a sparse symmetric matrix and of its factor are, found once for all systems of one graph.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::sparse::SymbolicSparseColMatRef;
-use faer::sparse::linalg::amd;
 use std::ops::Range;
 
 /// The system cannot be solved: not positive definite, or too large for the memory.
@@ -63,7 +60,7 @@ impl Pattern {
     pub(super) fn new(n: usize, pairs: &[(u32, u32)]) -> Result<Self, NotSolvable> {
         let place = order(n, pairs)?;
         let placed: Vec<(u32, u32)> = pairs.iter().map(|&(a, b)| (place[a as usize], place[b as usize])).collect();
-        let matrix = lower_triangle(n, &placed, true);
+        let matrix = lower_triangle(n, &placed);
         let factor = factor_of(&matrix, MOST_BLOCKS)?;
         let mut in_factor = Vec::with_capacity(matrix.rows.len());
         for j in 0..n {
@@ -139,12 +136,10 @@ impl Pattern {
     }
 }
 
-/// The lower triangle that these pairs make, each once.
-fn lower_triangle(n: usize, pairs: &[(u32, u32)], with_diagonal: bool) -> Columns {
+/// The lower triangle that these pairs make with the diagonal, each once.
+fn lower_triangle(n: usize, pairs: &[(u32, u32)]) -> Columns {
     let mut entries: Vec<u64> = Vec::with_capacity(pairs.len() + n);
-    if with_diagonal {
-        entries.extend((0..n as u64).map(|k| k << 32 | k));
-    }
+    entries.extend((0..n as u64).map(|k| k << 32 | k));
     let coupled = pairs.iter().filter(|(a, b)| a != b);
     entries.extend(coupled.map(|&(a, b)| u64::from(a.min(b)) << 32 | u64::from(a.max(b))));
     entries.sort_unstable();
@@ -157,13 +152,9 @@ fn lower_triangle(n: usize, pairs: &[(u32, u32)], with_diagonal: bool) -> Column
 
 /// Place in the order of every row.
 fn order(n: usize, pairs: &[(u32, u32)]) -> Result<Vec<u32>, NotSolvable> {
-    let Columns { starts, rows } = lower_triangle(n, pairs, false);
+    let Columns { starts, rows } = lower_triangle(n, pairs);
     let rows: Vec<usize> = rows.iter().map(|&r| r as usize).collect();
-    let matrix = SymbolicSparseColMatRef::new_checked(n, n, &starts, None, &rows);
-    let (mut forward, mut inverse) = (vec![0usize; n], vec![0usize; n]);
-    let mut memory = MemBuffer::try_new(amd::order_scratch::<usize>(n, rows.len())).map_err(|_| NotSolvable)?;
-    amd::order(&mut forward, &mut inverse, matrix, amd::Control::default(), MemStack::new(&mut memory))
-        .map_err(|_| NotSolvable)?;
+    let (_, inverse, _) = amd::order(n, &starts, &rows, &amd::Control::default()).map_err(|_| NotSolvable)?;
     Ok(inverse.iter().map(|&p| p as u32).collect())
 }
 
@@ -264,8 +255,30 @@ mod tests {
     fn a_factor_that_fills_up_is_refused_before_it_takes_the_memory() {
         // A star whose centre comes first ties all others to each other.
         let star: Vec<(u32, u32)> = (1..100).map(|k| (0, k)).collect();
-        let matrix = lower_triangle(100, &star, true);
+        let matrix = lower_triangle(100, &star);
         assert_eq!(factor_of(&matrix, 5050).map(|f| f.rows.len()), Ok(5050));
         assert!(factor_of(&matrix, 5049).is_err());
+    }
+
+    #[test]
+    fn the_order_has_every_row_once_whatever_is_coupled() {
+        let everything: Vec<(u32, u32)> = (0..40).flat_map(|a| (0..a).map(move |b| (a, b))).collect();
+        let star: Vec<(u32, u32)> = (1..400).map(|k| (0, k)).collect();
+        let twice = vec![(3, 1), (1, 3), (3, 3), (1, 3)];
+        for (n, pairs) in [(0, vec![]), (1, vec![]), (5, vec![]), (5, twice), (40, everything), (400, star)] {
+            let mut places = order(n, &pairs).unwrap();
+            places.sort_unstable();
+            assert!(places.iter().copied().eq(0..n as u32), "{n}");
+        }
+    }
+
+    #[test]
+    fn the_order_keeps_the_factor_of_a_grid_sparse() {
+        // Row by row each row of the factor would be as long as the grid is wide.
+        const WIDE: u32 = 30;
+        let along = (0..WIDE * WIDE).filter(|k| k % WIDE > 0).map(|k| (k - 1, k));
+        let pairs: Vec<(u32, u32)> = along.chain((WIDE..WIDE * WIDE).map(|k| (k - WIDE, k))).collect();
+        let blocks = Pattern::new((WIDE * WIDE) as usize, &pairs).unwrap().num_factor_blocks();
+        assert!(blocks < 10_000, "{blocks}, row by row {}", WIDE * WIDE * WIDE);
     }
 }
