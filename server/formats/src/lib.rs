@@ -6,6 +6,7 @@
 //! No perception happens here, and only [`dataset`] and [`read_file`] touch the file system.
 //! Start with [`dataset::open`], then the codec of the format in question.
 
+pub mod breezy;
 pub mod carmen;
 mod clouds;
 pub mod dataset;

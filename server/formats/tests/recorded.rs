@@ -18,6 +18,7 @@ percept_recorded::tests! {
     carmen_intel: "lidar2d-intel";
     carmen_csail: "lidar2d-csail";
     carmen_corrected_logs: "lidar2d-corrected";
+    breezyslam_logs: "lidar2d-breezyslam";
     labelled_clouds: "cloud-osd-labelled";
     clouds_of_every_version_and_encoding: "cloud-pcl";
     ply_of_a_lidar: "registration-small-gicp";
@@ -251,6 +252,22 @@ fn carmen_corrected_logs(data: &Path) {
         }
         assert!(num_free > 400, "{file} {num_free}");
     }
+}
+
+fn breezyslam_logs(data: &Path) {
+    let path = data.join("lidar2d-breezyslam");
+    for (file, len) in [("exp1.dat", 756), ("exp2.dat", 641)] {
+        let dataset = open(&path.join(file)).unwrap();
+        assert_eq!((dataset.kind.name(), dataset.len(), dataset.num_odometry_samples()), ("breezyslam", len, len));
+        assert_increasing(&dataset);
+        let mut free = 0;
+        for frame in dataset.frames(Some(0..1)).filter_map(|f| f.ok()) {
+            let SensorData::Scan(scan) = frame.data else { continue };
+            free += scan.ranges_m.iter().filter(|r| **r > 0.1 && **r < 4.0).count();
+        }
+        assert!(free > 200, "{file} {free}");
+    }
+    assert_eq!(open(&path).unwrap().len(), 756);
 }
 
 fn labelled_clouds(data: &Path) {

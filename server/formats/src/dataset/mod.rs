@@ -13,6 +13,7 @@
 //! The base of a recording looks along x: a camera's base is its optical frame turned by
 //! [`SensorSpec::optical_rotation`], a lidar's is the lidar itself.
 
+mod breezy;
 mod carmen;
 mod clouds;
 mod euroc;
@@ -60,6 +61,9 @@ pub enum DatasetKind {
     /// CARMEN log of a planar laser.
     #[serde(rename = "carmen")]
     Carmen,
+    /// BreezySLAM's log of a planar laser and wheels.
+    #[serde(rename = "breezyslam")]
+    Breezy,
     /// PCD or PLY clouds.
     #[serde(rename = "clouds")]
     Clouds,
@@ -78,6 +82,7 @@ impl DatasetKind {
             Self::Euroc => "euroc",
             Self::Kitti => "kitti",
             Self::Carmen => "carmen",
+            Self::Breezy => "breezyslam",
             Self::Clouds => "clouds",
             Self::Ros => "ros",
         }
@@ -214,6 +219,7 @@ fn open_file(path: &Path, options: &OpenOptions) -> Result<Option<Dataset>, Form
                 .map(Some)
         }
         _ if carmen::is_log(path)? => carmen::open(path, None, options).map(Some),
+        _ if breezy::is_log(path)? => breezy::open(path, options).map(Some),
         _ => Ok(None),
     }
 }
@@ -246,6 +252,7 @@ fn open_listed(folder: &Folder, options: &OpenOptions) -> Result<Option<Dataset>
         euroc::open,
         image_folders::open,
         carmen::open_folder,
+        breezy::open_folder,
         clouds::open_folder,
     ];
     for reader in readers {
