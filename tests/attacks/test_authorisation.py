@@ -544,6 +544,22 @@ def test_every_zenoh_key_answers_each_user_as_the_table_says(site, user):
             replies = list(peer_session.get(f"percept/{session}/{question}", timeout=5.0))
             assert bool(replies) == may_ask, question
             assert list(peer_session.get(f"percept/depot-x/{question}", timeout=5.0)) == [] or user == "stranger"
+        for rpc, may in (
+            ("SessionsService/GetPose", may_ask),
+            ("LayersService/QueryPoints", may_ask),
+            ("SessionsService/UpdateSession", may_send),
+            ("SensorsService/SendFrame", may_send),
+            ("SessionsService/DeleteSession", False),
+        ):
+            # Zenoh lets nothing through, and says nothing; what comes through is answered, if by an error.
+            replies = list(peer_session.get(f"percept/{session}/rpc/{rpc}", payload=b"", timeout=5.0 if may else 1.0))
+            refused = [r.err.payload.to_bytes() for r in replies if r.err]
+            assert (
+                any(data != b"Timeout" for data in refused) or any(r.ok for r in replies)
+                if may
+                else (not any(r.ok for r in replies) and set(refused) <= {b"Timeout"})
+            ), rpc
+            assert not any(r.ok for r in peer_session.get("percept/depot-x/rpc/SessionsService/GetPose", timeout=1.0))
         message = odometry(session)
         message.sensor_id = "o"
         peer_session.put(f"percept/{session}/o/frame", message.SerializeToString())

@@ -5,7 +5,17 @@ from __future__ import annotations
 import threading
 
 import pytest
-from percept import Keyframe, MapChanged, NotFound, PoseEstimate, SensorSpec
+from percept import (
+    FailedPrecondition,
+    InvalidArgument,
+    Keyframe,
+    MapChanged,
+    NotFound,
+    PerceptError,
+    PoseEstimate,
+    SensorSpec,
+)
+from percept.v1 import error_pb2, session_pb2, sessions_service_pb2
 from percept.zenoh import MapReader, SensorPublisher
 
 from support import world
@@ -152,3 +162,97 @@ def test_a_busy_session_does_not_hold_another(server, client):
         assert taken - before < 0.7 * (ahead - before), "it waited behind the busy session's frames"
         flooding.join()
     assert eventually(lambda: accepted(busy, "lidar") == count, seconds=60)
+
+
+def test_a_robot_plugs_in_by_zenoh_alone(server, name):
+    """Nothing but zenoh: the session and its sensors, frames, questions with words, what changes a session."""
+    poses = world.drive(8)
+    with SensorPublisher(server.zenoh, session_id=name, sensors=[world.LASER]) as publisher:
+        for i, pose in enumerate(poses):
+            publisher.send_scan("laser", stamp_ns=world.stamp(i), **world.scan(pose))
+        robot = publisher.session
+        assert eventually(lambda: robot.info().last_stamp_ns == world.stamp(7))
+        assert robot.pose() == MapReader(server.zenoh, session_id=name).pose()
+        position = robot.pose().t_map_base.translation
+        found = robot.space.points([position, [position[0] + 500.0, 0.0, 0.0]])
+        assert [str(s) for s in found.states] == ["free", "unknown"]
+        assert robot.plan((position[0] + 0.3, position[1]))
+        assert [k.keyframe_id for k in robot.keyframes()][0] == 0
+        assert len(robot.trajectory().stamps_ns) == 8
+        assert robot.map.occupancy().cells.shape == MapReader(server.zenoh, session_id=name).occupancy().cells.shape
+        robot.update(display_name="by zenoh")
+        assert robot.info().display_name == "by zenoh"
+        with pytest.raises(InvalidArgument) as error:
+            robot.plan((float("nan"), 0.0))
+        assert error.value.field.startswith("goal")
+        with pytest.raises(FailedPrecondition, match=r"percept\.connect"):
+            robot.watch()
+    # Again, as a program that is started anew; and with another sensor of that name.
+    with SensorPublisher(server.zenoh, session_id=name, sensors=[world.LASER]) as publisher:
+        assert publisher.session.info().display_name == "by zenoh"
+    other = SensorSpec("laser", kind="lidar3d")
+    with pytest.raises(PerceptError) as error:
+        SensorPublisher(server.zenoh, session_id=name, sensors=[other])
+    assert error.value.reason == "SENSOR_IN_USE"
+
+
+def test_a_wildcard_asks_all_sessions_that_are_awake(server, client, name):
+    ids = [f"{name}-{i}" for i in range(3)]
+    for i, session_id in enumerate(ids):
+        client.sessions.create(session_id, sensors=[world.LASER]).send_scan(
+            "laser", stamp_ns=world.stamp(i), **world.scan(world.drive(1)[0])
+        )
+    with MapReader(server.zenoh, session_id=ids[0]) as reader:
+        network = reader._zenoh
+
+        def asked(key, request=None):
+            replies = list(network.get(key, payload=request, timeout=10.0))
+            refused = [error_pb2.ErrorInfo.FromString(r.err.payload.to_bytes()) for r in replies if r.ok is None]
+            return {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in replies if r.ok is not None}, refused
+
+        said, refused = asked(f"percept/{name}-$*/pose")
+        assert set(said) == {f"percept/{i}/pose" for i in ids} and not refused
+        stamps = {session_pb2.PoseEstimate.FromString(data).stamp_ns for data in said.values()}
+        assert stamps == {world.stamp(i) for i in range(3)}
+        said, refused = asked(f"percept/{name}-$*/rpc/SessionsService/GetPose")
+        assert len(said) == 3 and not refused
+        said, refused = asked(f"percept/{ids[0]}/scene/*")
+        assert set(said) == {f"percept/{ids[0]}/scene/{what}" for what in ("graph", "objects", "rooms")}
+        # What changes a session is asked of one that is named, and nobody means all rpcs.
+        said, refused = asked(f"percept/{name}-$*/rpc/SessionsService/UpdateSession", b"")
+        assert not said and refused[0].reason == "KEY_UNKNOWN" and "name the session" in refused[0].message
+        assert asked(f"percept/{ids[0]}/rpc/**") == ({}, [])
+        for key, request, reason in (
+            (f"percept/{ids[0]}/rpc/SessionsService/Nothing", b"", "KEY_UNKNOWN"),
+            (f"percept/{ids[0]}/rpc/SessionsService/ListSessions", b"", "KEY_UNKNOWN"),
+            (f"percept/{ids[0]}/rpc/SessionsService/GetPose", b"\xff\xff", "PROTOBUF_INVALID"),
+            (
+                f"percept/{ids[0]}/rpc/SessionsService/GetPose",
+                sessions_service_pb2.GetPoseRequest(session_id=ids[1]).SerializeToString(),
+                "PATH_MISMATCH",
+            ),
+            (f"percept/{name}-nobody/rpc/SessionsService/GetPose", b"", "SESSION_NOT_FOUND"),
+        ):
+            said, refused = asked(key, request)
+            assert not said and [r.reason for r in refused] == [reason], key
+
+
+def test_who_is_there_is_told_by_liveliness(server, session):
+    session_id = session.session_id
+    session.send_scan("laser", stamp_ns=world.stamp(0), **world.scan(world.drive(1)[0]))
+    with MapReader(server.zenoh, session_id=session_id) as reader:
+        assert eventually(reader.is_alive)
+        publisher = SensorPublisher(server.zenoh, session_id=session_id)
+        publisher.send_scan("laser", stamp_ns=world.stamp(1), **world.scan(world.drive(2)[1]))
+        assert eventually(lambda: session.info().last_stamp_ns == world.stamp(1))
+        assert not session.info().stream_notes
+        # Gone without a word.
+        publisher._zenoh.close()
+        assert eventually(lambda: session.info().stream_notes)
+        note = session.info().stream_notes[0]
+        assert note.stream == "laser" and "left the zenoh network" in note.message
+        with SensorPublisher(server.zenoh, session_id=session_id) as again:
+            again.send_scan("laser", stamp_ns=world.stamp(2), **world.scan(world.drive(3)[2]))
+            assert eventually(lambda: not session.info().stream_notes)
+        session.delete()
+        assert eventually(lambda: not reader.is_alive())

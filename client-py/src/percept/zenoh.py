@@ -7,6 +7,14 @@ behind the server's `zenoh.namespace`:
     percept/<session>/pose, events       out: PoseEstimate, SessionEvent
     percept/<session>/map/occupancy, map/cloud, scene/graph, scene/objects, scene/rooms,
         sensors, pose                    queries
+    percept/<session>/rpc/<service>/<method>
+                                         queries: any rpc about a session, its request as the payload
+    percept/<session>/alive              liveliness of a session that is awake
+    percept/<session>/<sensor>/alive     liveliness of a SensorPublisher, of each of its sensors
+
+The session may be a wildcard in queries and liveliness: all that are awake. Poses travel before all else,
+then events, IMUs and wheels; depth, images, clouds and maps come last, so that a thin link carries what
+robots steer by.
 """
 
 from __future__ import annotations
@@ -17,7 +25,7 @@ import queue
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -25,14 +33,19 @@ from typing import Any, Generic, TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from ._access import FilePath, read_file
-from ._convert import maps, poses, scene, sensors, sessions
+from ._convert import maps, poses, scene, sessions
+from ._convert import sensors as streams
+from ._options import Options
+from ._over_zenoh import OverZenoh
+from ._rpc import Rpc
 from ._sender import FrameSender
+from ._sync.session import Session, Sessions
 from .errors import DeadlineExceeded, FailedPrecondition, Internal, InvalidArgument, Unavailable, error_of
-from .types.frames import SensorFrame
+from .types.frames import ImuFrame, OdometryFrame, ScanFrame, SensorFrame
 from .types.maps import MapCloud, OccupancyGrid
 from .types.poses import PoseEstimate
 from .types.scene import Object, Rooms, SceneGraph
-from .types.sensors import SensorStatus
+from .types.sensors import SensorSpec, SensorStatus
 from .types.sessions import SessionEvent
 from .v1 import error_pb2, map_pb2, scene_pb2, scene_service_pb2, sensors_service_pb2, session_pb2
 
@@ -53,6 +66,13 @@ _TIMEOUT = b"Timeout"
 ANSWERS_SOON_S = 1.0
 #: Results waiting for a slow reader; then the oldest go.
 MAX_UNREAD = 256
+
+#: How soon frames travel; images and clouds come last.
+_PRIORITIES = {
+    ImuFrame: zenoh.Priority.INTERACTIVE_LOW,
+    OdometryFrame: zenoh.Priority.INTERACTIVE_LOW,
+    ScanFrame: zenoh.Priority.DATA,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,20 +170,72 @@ class _Peer:
         self._timeout_s = timeout_s
         self._zenoh = _open(endpoint, namespace, timeout_s, credentials)
 
+    @property
+    def session(self) -> Session:
+        """The session, asked over zenoh: all that `Session` can do but streams of frames or events, and
+        files (`stream`, `watch`, `watch_path`, exports), which need gRPC (NEEDS_GRPC)."""
+        return Session(self._transport(), self.session_id)
+
+    def is_alive(self) -> bool:
+        """Whether the session is awake on a server of this network, by its liveliness."""
+        tokens = self._zenoh.liveliness().get(self._key("alive"), timeout=self._timeout_s)
+        return any(token.ok is not None for token in tokens)
+
+    def _transport(self) -> OverZenoh:
+        def ask(rpc: Rpc[Any, Any], request: bytes, timeout_s: float) -> bytes:
+            return self._asked(f"rpc/{rpc.service}/{rpc.method}", request, timeout_s, zenoh.Priority.DATA)
+
+        return OverZenoh(ask, Options(timeout_s=self._timeout_s, retries=0, metadata=()))
+
     def _key(self, rest: str) -> str:
         return f"percept/{self.session_id}/{rest}"
+
+    def _asked(self, rest: str, request: bytes | None, timeout_s: float, priority: Any) -> bytes:  # noqa: ANN401
+        key = self._key(rest)
+        # In a network that has just come together nobody is there yet who answers.
+        deadline = time.monotonic() + min(timeout_s, ANSWERS_SOON_S)
+        while True:
+            replies = self._zenoh.get(
+                key,
+                payload=request,
+                timeout=timeout_s,
+                priority=priority,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    return bytes(reply.ok.payload.to_bytes())
+                said = reply.err.payload.to_bytes()
+                if said == _TIMEOUT:
+                    raise DeadlineExceeded(f"{key} was not answered for {timeout_s:g} s")
+                error = _parsed(key, error_pb2.ErrorInfo, said)
+                raise error_of(error.code, error.message, reason=error.reason, field=error.field)
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.02)
+        raise Unavailable(f"nobody answers {key}; is it percept's endpoint?", reason="NO_REPLY")
 
     def close(self) -> None:
         """Leaves the network."""
         self._zenoh.close()
 
 
+def _parsed(key: str, kind: type[M], data: bytes) -> M:
+    try:
+        return kind.FromString(data)
+    except DecodeError as cause:
+        message = f"what answers {key} is no {kind.__name__}; is it percept's endpoint?"
+        raise Internal(message, reason="REPLY_INVALID") from cause
+
+
 class SensorPublisher(_Peer, FrameSender[None]):
-    """Publishes frames, reliably and in order. A server that is too slow for them drops the oldest ones
-    that wait, and counts them; of a sensor with `overload_policy="block"` it makes `send_*` wait instead.
+    """Publishes frames, reliably and those of a sensor in order. A server that is too slow for them drops the
+    oldest ones that wait, and counts them; of a sensor with `overload_policy="block"` it makes `send_*` wait
+    instead.
 
     zenoh does not answer: what the server refused, it counts. See MapReader.sensors(). Frames are numbered,
-    so that it counts the missing ones, too.
+    so that it counts the missing ones, too. While it is there it is told of by liveliness: that it has left
+    is noted in the session (`stream_notes`).
     """
 
     def __init__(
@@ -171,29 +243,40 @@ class SensorPublisher(_Peer, FrameSender[None]):
         endpoint: str,
         *,
         session_id: str,
+        sensors: Sequence[SensorSpec] = (),
         namespace: str = "",
         timeout_s: float = 10.0,
         credentials: Credentials | None = None,
     ) -> None:
         """`endpoint` is tcp/host:port or tls/host:port, of the server or of a router that it is connected
-        to; `namespace` the server's `zenoh.namespace`."""
+        to; `namespace` the server's `zenoh.namespace`. With `sensors` the session is created where it is not
+        there yet, and those that it has not are declared; another sensor of the same name is refused."""
         super().__init__(
             endpoint, session_id=session_id, namespace=namespace, timeout_s=timeout_s, credentials=credentials
         )
         self._publishers: dict[str, Any] = {}
+        self._tokens: list[Any] = []
         self._sequences: Counter[str] = Counter()
         self._closed = False
+        if sensors:
+            try:
+                Sessions(self._transport()).create(session_id, sensors=sensors, exist_ok=True)
+            except BaseException:
+                super().close()
+                raise
 
     def send(self, frame: SensorFrame) -> None:
         """Publishes a frame; the first of a sensor waits until the server listens."""
-        publisher = self._publishers.get(frame.sensor_id) or self._declare(frame.sensor_id)
-        message = sensors.frame_to(self.session_id, frame, self._sequences[frame.sensor_id] + 1)
+        priority = _PRIORITIES.get(type(frame), zenoh.Priority.DATA_LOW)
+        publisher = self._publishers.get(frame.sensor_id) or self._declare(frame.sensor_id, priority)
+        message = streams.frame_to(self.session_id, frame, self._sequences[frame.sensor_id] + 1)
         self._sequences[frame.sensor_id] += 1
         publisher.put(message.SerializeToString())
 
     def publish_raw(self, sensor_id: str, payload: bytes) -> None:
         """Publishes bytes as they are, for drivers that encode SensorMessage themselves."""
-        (self._publishers.get(sensor_id) or self._declare(sensor_id)).put(payload)
+        known = self._publishers.get(sensor_id)
+        (known or self._declare(sensor_id, zenoh.Priority.DATA_LOW)).put(payload)
 
     def close(self) -> None:
         """Leaves the network once the server has all that was sent, or does not answer in time."""
@@ -210,15 +293,22 @@ class SensorPublisher(_Peer, FrameSender[None]):
             super().close()
 
     def _is_answered(self) -> bool:
+        # No sooner than the last of the frames.
         question = self._zenoh.get(
-            self._key("sensors"), timeout=self._timeout_s, congestion_control=zenoh.CongestionControl.BLOCK
+            self._key("sensors"),
+            timeout=self._timeout_s,
+            priority=zenoh.Priority.DATA_LOW,
+            congestion_control=zenoh.CongestionControl.BLOCK,
         )
         return bool([*question])
 
-    def _declare(self, sensor_id: str) -> Any:  # noqa: ANN401
+    def _declare(self, sensor_id: str, priority: Any) -> Any:  # noqa: ANN401
         key = self._key(f"{sensor_id}/frame")
         publisher = self._zenoh.declare_publisher(
-            key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
+            key,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            reliability=zenoh.Reliability.RELIABLE,
+            priority=priority,
         )
         deadline = time.monotonic() + self._timeout_s
         # Samples that nobody listens to are dropped where they are published.
@@ -230,6 +320,7 @@ class SensorPublisher(_Peer, FrameSender[None]):
                 )
             time.sleep(0.005)
         self._publishers[sensor_id] = publisher
+        self._tokens.append(self._zenoh.liveliness().declare_token(self._key(f"{sensor_id}/alive")))
         return publisher
 
     def __enter__(self) -> SensorPublisher:
@@ -318,7 +409,7 @@ class MapReader(_Peer):
     def sensors(self) -> list[SensorStatus]:
         """What the server sees of the sensors' streams: frames accepted, refused, dropped, missing."""
         answer = self._ask("sensors", sensors_service_pb2.ListSensorsResponse)
-        return [sensors.status(s) for s in answer.sensors]
+        return [streams.status(s) for s in answer.sensors]
 
     def poses(self) -> Subscription[PoseEstimate]:
         """Poses from now on, one after every registered frame."""
@@ -337,30 +428,9 @@ class MapReader(_Peer):
         return Subscription(self._zenoh, self._key("events"), read)
 
     def _ask(self, rest: str, kind: type[M]) -> M:
-        key = self._key(rest)
-        # In a network that has just come together nobody is there yet who answers.
-        deadline = time.monotonic() + min(self._timeout_s, ANSWERS_SOON_S)
-        while True:
-            for reply in self._zenoh.get(key, timeout=self._timeout_s):
-                if reply.ok is not None:
-                    return self._parsed(key, kind, reply.ok.payload.to_bytes())
-                said = reply.err.payload.to_bytes()
-                if said == _TIMEOUT:
-                    raise DeadlineExceeded(f"{key} was not answered for {self._timeout_s:g} s")
-                error = self._parsed(key, error_pb2.ErrorInfo, said)
-                raise error_of(error.code, error.message, reason=error.reason, field=error.field)
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.02)
-        raise Unavailable(f"nobody answers {key}; is it percept's endpoint?", reason="NO_REPLY")
-
-    @staticmethod
-    def _parsed(key: str, kind: type[M], data: bytes) -> M:
-        try:
-            return kind.FromString(data)
-        except DecodeError as cause:
-            message = f"what answers {key} is no {kind.__name__}; is it percept's endpoint?"
-            raise Internal(message, reason="REPLY_INVALID") from cause
+        # What robots steer by goes before what is looked at.
+        soon = zenoh.Priority.INTERACTIVE_HIGH if rest == "pose" else zenoh.Priority.DATA_LOW
+        return _parsed(self._key(rest), kind, self._asked(rest, None, self._timeout_s, soon))
 
     def __enter__(self) -> MapReader:
         return self

@@ -181,6 +181,7 @@ reasons! {
         SAMPLE_TOO_LARGE: "More points are to be sampled than the method can; ask for fewer.",
         SCAN_TOO_LARGE: "The scan has more beams than limits.max_cloud_points.",
         SERVER_BUSY: "As many requests wait to be computed as may; try again.",
+        TOO_MANY_ANSWERS: "More sessions fit the wildcard of a zenoh key than are answered for; name fewer.",
         TOO_MANY_DETECTORS: "The server, or the tenant, keeps as many uploaded detectors as it may; delete some.",
         TOO_MANY_EXAMPLES: "The session keeps as many examples of classes as it may; forget a class.",
         TOO_MANY_OPERATIONS: "As many operations are kept as may; delete some that have ended, or wait.",

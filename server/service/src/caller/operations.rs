@@ -297,6 +297,13 @@ impl Caller {
         }
     }
 
+    /// The same of a session that is awake; one that sleeps is left alone.
+    pub async fn note_if_awake(&self, session: &str, stream: &str, message: Option<String>) {
+        if self.may_with("SensorsService/StreamFrames", session).await.is_ok() {
+            self.service.note_if_awake(session, stream, message).await;
+        }
+    }
+
     /// Health of every sensor of a session, without waking it.
     ///
     /// # Errors

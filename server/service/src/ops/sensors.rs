@@ -93,6 +93,13 @@ impl Service {
         }
     }
 
+    /// The same of a session that is awake; one that sleeps is left alone.
+    pub async fn note_if_awake(&self, session: &str, stream: &str, message: Option<String>) {
+        if let Some(session) = self.view_session(session).await.ok().and_then(|view| view.live) {
+            session.note_stream(stream, message);
+        }
+    }
+
     /// Health of every sensor of a session, without waking it.
     ///
     /// # Errors

@@ -2,8 +2,8 @@
 
 use super::super::grpc::Api;
 use super::super::status;
+use super::calls;
 use super::refused::Refused;
-use super::routes;
 use axum::http::HeaderMap;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -40,7 +40,7 @@ pub(super) async fn watch(
     if let Some(token) = last_event(headers)? {
         request.resume_token = Some(token);
     }
-    let stream = api.watch_session(routes::asked(context, request)).await?.into_inner();
+    let stream = api.watch_session(calls::asked(context, request)).await?.into_inner();
     let read = |message: v1::WatchSessionResponse| {
         let event = message.event.unwrap_or_default();
         (event.token, json::to_json("SessionEvent", &event))
@@ -62,7 +62,7 @@ pub(super) async fn watch_all(
     if let Some(token) = last_event(headers)? {
         request.resume_token = Some(token);
     }
-    let stream = api.watch_sessions(routes::asked(context, request)).await?.into_inner();
+    let stream = api.watch_sessions(calls::asked(context, request)).await?.into_inner();
     let read = |message: v1::WatchSessionsResponse| {
         let event = message.event.unwrap_or_default();
         (event.token, json::to_json("FleetEvent", &event))
@@ -76,7 +76,7 @@ pub(super) async fn watch_all(
 /// Those of the rpc.
 pub(super) async fn watch_path(api: &Api, context: CallContext, request: Bytes) -> Result<Response, Refused> {
     let request = v1::WatchPathRequest::decode(request).map_err(Error::internal)?;
-    let stream = api.watch_path(routes::asked(context, request)).await?.into_inner();
+    let stream = api.watch_path(calls::asked(context, request)).await?.into_inner();
     let read = |message: v1::WatchPathResponse| {
         (message.stamp.as_ref().map_or(0, |s| s.map_version), json::to_json("WatchPathResponse", &message))
     };

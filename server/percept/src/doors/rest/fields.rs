@@ -89,13 +89,13 @@ pub(super) fn form(uri: &Uri) -> Result<Option<String>, Refused> {
 ///
 /// # Errors
 /// `PATH_INVALID`, `PATH_MISMATCH` if the body says something else.
-pub(super) fn fill_from_path(message: &mut DynamicMessage, name: &str, field: &str, text: &str) -> Result<(), Refused> {
+pub(super) fn fill_from_path(message: &mut DynamicMessage, name: &str, field: &str, text: &str) -> Result<(), Error> {
     let said = at(message, field);
     set(message, field, text)
         .map_err(|wanted| Error::invalid(reason::PATH_INVALID, name, not_as_wanted(name, text, &wanted)))?;
     if said.is_some() && said != at(message, field) {
         let message = format!("{field} in the body is not the {name} of the path; leave it out, or give the same");
-        return Err(Error::invalid(reason::PATH_MISMATCH, field, message).into());
+        return Err(Error::invalid(reason::PATH_MISMATCH, field, message));
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use super::super::grpc::Api;
 use super::range::{self, Asked};
 use super::refused::Refused;
-use super::{routes, transcode};
+use super::{calls, transcode};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
@@ -97,7 +97,7 @@ pub(super) async fn export(
     let compute = api.service.compute().clone();
     let session = request.source.as_ref().and_then(|s| s.source.clone());
     let session = session.map_or_else(String::new, |v1::map_source::Source::SessionId(id)| id);
-    let parts = routes::collect(api.export_map(routes::asked(context, request)).await?.into_inner()).await?;
+    let parts = calls::collect(api.export_map(calls::asked(context, request)).await?.into_inner()).await?;
     let (name, format, headers) = (name.to_owned(), *format, headers.clone());
     let work = move || answer(&joined(&name, format, parts)?, &headers);
     compute.query(&Asker::named(session), work).await?
@@ -117,8 +117,8 @@ pub(super) async fn result(
     let request = v1::ReadOperationResultRequest::decode(request).map_err(Error::internal)?;
     let asker = Asker::named(context.principal.tenant.as_str());
     let compute = api.service.compute().clone();
-    let stream = api.read_operation_result(routes::asked(context, request)).await?.into_inner();
-    let parts = routes::collect(stream).await?;
+    let stream = api.read_operation_result(calls::asked(context, request)).await?.into_inner();
+    let parts = calls::collect(stream).await?;
     let result = compute.query(&asker, move || v1::ReadOperationResultResponse::joined(parts)).await?;
     match result.result {
         Some(Outcome::ExportMap(export)) if !transcode::wants_message(headers) => {

@@ -5,6 +5,8 @@
 //! Start with [`routes`]: one table from which both the router and the OpenAPI document are made.
 
 mod body;
+pub(super) mod by_name;
+mod calls;
 mod comments;
 mod events;
 mod fields;

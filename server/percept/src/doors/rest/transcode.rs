@@ -59,14 +59,14 @@ pub(super) async fn encoded(message: DynamicMessage, is_large: bool) -> Result<B
 ///
 /// # Errors
 /// `JSON_INVALID` naming the field, `PROTOBUF_INVALID`.
-pub(super) async fn decode(message: MessageDescriptor, format: Format, body: Bytes) -> Result<DynamicMessage, Refused> {
+pub(super) async fn decode(message: MessageDescriptor, format: Format, body: Bytes) -> Result<DynamicMessage, Error> {
     let large = is_large(&body);
     let work = move || match format {
         Format::Json if body.is_empty() => Ok(DynamicMessage::new(message)),
         Format::Json => from_json(&message, &body),
         Format::Protobuf => from_protobuf(&message, body),
     };
-    Ok(apart(large, work).await??)
+    apart(large, work).await?
 }
 
 /// Whether the request asks for a message, and not for the file that could be sent.

@@ -4,11 +4,14 @@
 //! A key has no tenant in it, and a sample does not say who sent it. So sessions of a key are those of the one tenant
 //! whose patterns fit; settings in which two tenants' patterns overlap cannot be said in zenoh's terms and are refused.
 
+use super::super::rest::by_name;
+use super::query::{QUESTIONS, RPC};
 use super::{Failure, ROOT};
 use crate::config::Tls;
 use percept_identity::{Access, AuthMode, AuthSettings, Grant, Pattern, Principal, random_token};
 use percept_service::CallContext;
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// How zenoh knows somebody.
@@ -109,17 +112,27 @@ impl Policy {
             Self::Open(principal) => Arc::clone(principal),
             Self::Members { members, .. } => {
                 let able: Vec<&Member> = members.iter().filter(|m| m.grant.sessions.matches(session)).collect();
-                Arc::new(Principal {
-                    name: "zenoh".to_owned(),
-                    // Nobody's: it sees nothing.
-                    tenant: able.first().map(|m| m.tenant.clone()).unwrap_or_default(),
-                    grants: able.iter().map(|m| m.grant.clone()).collect(),
-                    ..Principal::anonymous()
-                })
+                // Without a tenant it is nobody's, and sees nothing.
+                Arc::new(principal(able.first().map_or("", |m| &m.tenant), &able))
             }
         };
-        let trace = random_token().map_err(percept_service::Error::internal)?;
-        Ok(CallContext { principal, deadline: None, trace, peer: "zenoh".to_owned() })
+        in_name_of(principal)
+    }
+
+    /// Of everybody, each tenant once.
+    ///
+    /// # Errors
+    /// The system gives no random bytes.
+    pub(super) fn contexts(&self) -> Result<Vec<CallContext>, percept_service::Error> {
+        let principals = match self {
+            Self::Open(principal) => vec![Arc::clone(principal)],
+            Self::Members { members, .. } => {
+                let tenants: BTreeSet<&str> = members.iter().map(|m| m.tenant.as_str()).collect();
+                let of = |tenant: &str| members.iter().filter(|m| m.tenant == tenant).collect::<Vec<_>>();
+                tenants.into_iter().map(|tenant| Arc::new(principal(tenant, &of(tenant)))).collect()
+            }
+        };
+        principals.into_iter().map(in_name_of).collect()
     }
 
     /// Settings of zenoh that enforce it: key and JSON.
@@ -131,6 +144,16 @@ impl Policy {
         }
         settings
     }
+}
+
+fn principal(tenant: &str, members: &[&Member]) -> Principal {
+    let grants = members.iter().map(|m| m.grant.clone()).collect();
+    Principal { name: "zenoh".to_owned(), tenant: tenant.to_owned(), grants, ..Principal::anonymous() }
+}
+
+fn in_name_of(principal: Arc<Principal>) -> Result<CallContext, percept_service::Error> {
+    let trace = random_token().map_err(percept_service::Error::internal)?;
+    Ok(CallContext { principal, deadline: None, trace, peer: "zenoh".to_owned() })
 }
 
 /// A pattern as a chunk of a key expression, in zenoh's canonical form.
@@ -147,19 +170,23 @@ fn chunk(pattern: &Pattern) -> String {
 fn access_control(members: &[Member]) -> Value {
     let everywhere = format!("{ROOT}/**");
     // What the door itself declares is told to everybody who is known; it names no session.
-    let mut rules = vec![rule("door", &["declare_subscriber", "declare_queryable"], "egress", &everywhere)];
+    let declared = ["declare_subscriber", "declare_queryable", "declare_liveliness_subscriber"];
+    let mut rules = vec![rule("door", &declared, "egress", &[everywhere])];
     let (mut subjects, mut policies) = (vec![], vec![]);
     for (i, member) in members.iter().enumerate() {
         let session = chunk(&member.grant.sessions);
         let below = format!("{ROOT}/{session}/**");
-        let (asks, told) = (format!("asks-{i}"), format!("told-{i}"));
-        rules.push(rule(&asks, &["declare_subscriber", "query"], "ingress", &below));
-        rules.push(rule(&told, &["put", "reply"], "egress", &below));
-        let mut allowed = vec!["door".to_owned(), asks, told];
+        let (hears, asks, told) = (format!("hears-{i}"), format!("asks-{i}"), format!("told-{i}"));
+        let heard = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"];
+        rules.push(rule(&hears, &heard, "ingress", std::slice::from_ref(&below)));
+        rules.push(rule(&asks, &["query"], "ingress", &questions(&session, member.grant.access)));
+        rules.push(rule(&told, &["put", "reply", "liveliness_token"], "egress", &[below]));
+        let mut allowed = vec!["door".to_owned(), hears, asks, told];
         if member.grant.access >= Access::Write {
-            let sends = format!("sends-{i}");
-            rules.push(rule(&sends, &["put"], "ingress", &format!("{ROOT}/{session}/*/frame")));
-            allowed.push(sends);
+            let (sends, lives) = (format!("sends-{i}"), format!("lives-{i}"));
+            rules.push(rule(&sends, &["put"], "ingress", &[format!("{ROOT}/{session}/*/frame")]));
+            rules.push(rule(&lives, &["liveliness_token"], "ingress", &[format!("{ROOT}/{session}/*/alive")]));
+            allowed.extend([sends, lives]);
         }
         let subject = format!("member-{i}");
         subjects.push(match &member.known {
@@ -171,8 +198,15 @@ fn access_control(members: &[Member]) -> Value {
     json!({"enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies})
 }
 
-fn rule(id: &str, messages: &[&str], flow: &str, key: &str) -> Value {
-    json!({"id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]})
+/// Keys of what somebody with this access may ask of the sessions of a chunk.
+fn questions(session: &str, access: Access) -> Vec<String> {
+    let rpcs = by_name::all().filter(|rpc| rpc.access <= access).map(|rpc| format!("{RPC}/{}", rpc.name));
+    let asked = QUESTIONS.into_iter().map(str::to_owned).chain(rpcs);
+    asked.map(|question| format!("{ROOT}/{session}/{question}")).collect()
+}
+
+fn rule(id: &str, messages: &[&str], flow: &str, keys: &[String]) -> Value {
+    json!({"id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys})
 }
 
 #[cfg(test)]
@@ -253,5 +287,15 @@ mod tests {
         let sends: Vec<_> =
             rules["rules"].as_array().unwrap().iter().filter(|r| r["messages"] == json!(["put"])).collect();
         assert_eq!((sends.len(), &sends[0]["key_exprs"]), (1, &json!(["percept/robot-7/*/frame"])));
+        let asks: Vec<String> = rules["rules"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter(|r| r["messages"] == json!(["query"]))
+            .map(|r| r["key_exprs"].to_string())
+            .collect();
+        let may = |i: usize, rpc: &str| asks[i].contains(&format!("/rpc/{rpc}\""));
+        assert!(may(0, "LayersService/GetHeights") && !may(0, "SessionsService/SetPose"));
+        assert!(may(1, "SessionsService/SetPose") && !may(1, "SessionsService/DeleteSession"));
     }
 }

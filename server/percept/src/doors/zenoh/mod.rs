@@ -4,9 +4,12 @@
 //! namespace if there is one, `<session>` and `<sensor>` being ids:
 //! - in: `percept/<session>/<sensor>/frame`, a `SensorMessage` whose ids, if set, agree with the key;
 //! - out: `percept/<session>/pose` (`PoseEstimate`), `percept/<session>/events` (`SessionEvent`);
+//! - liveliness: `percept/<session>/alive`, and `percept/<session>/<sensor>/alive` of drivers ([`presence`]);
 //! - queryable: `percept/<session>/map/occupancy` (`OccupancyGridChunk`, whole), `.../map/cloud` (`CloudChunk`,
 //!   whole), `.../scene/graph` (`SceneGraph`), `.../scene/objects` (`ListObjectsResponse`), `.../scene/rooms` (`GetRoomsResponse`), `.../sensors`
-//!   (`ListSensorsResponse`), `.../pose` (`PoseEstimate`). Errors are an error reply with an `ErrorInfo`.
+//!   (`ListSensorsResponse`), `.../pose` (`PoseEstimate`), and `percept/<session>/rpc/<service>/<method>`: the rpc of the
+//!   contract, its request as the payload, its answer whole. Errors are an error reply with an `ErrorInfo`. Where the session is a
+//!   wildcard, those that are awake answer.
 //!
 //! Who may what is [`access`]'s: rules that zenoh enforces, and whose session it is.
 //!
@@ -15,6 +18,7 @@
 mod access;
 mod lanes;
 mod network;
+mod presence;
 mod publish;
 mod query;
 
@@ -25,9 +29,10 @@ use crate::config::{Tls, Zenoh};
 use access::Policy;
 use percept_identity::AuthSettings;
 use percept_service::reason;
-use percept_service::{Caller, Error, IncomingFrame, observe};
+use percept_service::{Caller, Error, IncomingFrame, SessionList, SessionState, observe};
 use percept_wire::v1;
 use prost::{Message, Name};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -174,6 +179,35 @@ impl Names {
     fn sender(&self, session: &str) -> Result<Caller, Error> {
         Ok(self.api.service.sender(self.policy.context(session)?))
     }
+
+    /// One for each tenant that may send or ask here.
+    fn callers(&self) -> Result<Vec<Caller>, Error> {
+        let contexts = self.policy.contexts()?;
+        Ok(contexts.into_iter().map(|context| self.api.service.sender(context)).collect())
+    }
+
+    /// Sessions that are awake, of all who may send or ask here.
+    async fn awake(&self) -> Result<Vec<String>, Error> {
+        let mut all = Vec::new();
+        for caller in self.callers()? {
+            all.extend(awake(&caller).await?);
+        }
+        Ok(all)
+    }
+}
+
+/// Ids of the caller's sessions that are awake.
+async fn awake(caller: &Caller) -> Result<BTreeSet<String>, Error> {
+    let mut list = SessionList { state: Some(SessionState::Awake), page_size: 1000, ..SessionList::default() };
+    let mut ids = BTreeSet::new();
+    loop {
+        let page = caller.list_sessions(&list).await?;
+        ids.extend(page.items.into_iter().map(|view| view.id));
+        if page.next_page_token.is_empty() {
+            return Ok(ids);
+        }
+        list.page_token = page.next_page_token;
+    }
 }
 
 /// Whether rules can be said in zenoh's terms, and its users be read; warns of rules that let nobody in.
@@ -293,8 +327,11 @@ impl Attended {
         let _published = self.publishers.to(session);
         let frames = format!("{ROOT}/*/*/frame");
         let _frames = session.declare_subscriber(frames).callback(move |s| lanes.put(s)).await?;
-        query::serve(session, self.names.clone()).await?.await;
-        Ok(())
+        let answers = query::serve(session, self.names.clone()).await?;
+        tokio::select! {
+            () = answers => Ok(()),
+            served = presence::serve(session, &self.names) => served,
+        }
     }
 }
 

@@ -7,6 +7,7 @@ use prost::Message;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex as Lock, PoisonError};
 use tokio::sync::Mutex;
+use zenoh::qos::Priority;
 
 /// Events read at a time.
 const EVENTS_PER_READ: usize = 64;
@@ -62,14 +63,15 @@ impl Publishers {
             for event in batch {
                 token = event.token;
                 if let EventKind::Pose(pose) = &event.kind {
-                    self.put(&poses, sessions::pose_to(pose).encode_to_vec()).await;
+                    self.put(&poses, sessions::pose_to(pose).encode_to_vec(), Priority::InteractiveHigh).await;
                 }
-                self.put(&events, sessions::event_to(&event).encode_to_vec()).await;
+                self.put(&events, sessions::event_to(&event).encode_to_vec(), Priority::DataHigh).await;
             }
         }
     }
 
-    async fn put(&self, key: &str, bytes: Vec<u8>) {
+    /// Poses before all else, and not kept to be sent together: robots steer by them.
+    async fn put(&self, key: &str, bytes: Vec<u8>, priority: Priority) {
         let bytes = zenoh::bytes::ZBytes::from(bytes);
         let networks: Vec<_> = {
             let networks = self.networks.lock().unwrap_or_else(PoisonError::into_inner);
@@ -77,7 +79,9 @@ impl Publishers {
         };
         for network in networks {
             // One that closes meanwhile has nobody to be told.
-            if let Err(error) = network.put(key, bytes.clone()).await {
+            if let Err(error) =
+                network.put(key, bytes.clone()).priority(priority).express(priority == Priority::InteractiveHigh).await
+            {
                 tracing::debug!(key, %error, "not published");
             }
         }
