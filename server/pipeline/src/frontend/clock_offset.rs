@@ -18,6 +18,16 @@ const RIVAL: f64 = 0.9;
 const EVERY: usize = 50;
 /// Turning has to vary by this much to tell anything, rad/s; and both have to agree so well.
 const LEAST: (f64, f64) = (0.1, 0.8);
+/// A shift is known where its standard deviation is below this, seconds, or below this share of it.
+const KNOWN: (f64, f64) = (0.005, 1.0 / 6.0);
+/// Below so many seconds of turning the deviation itself is poorly known: it has to be below this share then.
+const SHORT: (f64, f64) = (15.0, 1.0 / 20.0);
+/// What was known is forgotten where a later estimate, itself too poor to be known, is so many of its deviations away.
+const CONTRADICTS: f64 = 3.0;
+/// Over which turning is taken to grow evenly, to either side, seconds: about the time between two poses.
+const SLOPE_S: f64 = 0.1;
+/// Poses over which what wheels are off by goes on, as where they slip: a second of a lidar's.
+const LASTS: usize = 10;
 
 #[derive(Debug, Clone, Default)]
 struct Rates(VecDeque<(Timestamp, f64)>);
@@ -86,9 +96,15 @@ impl ClockOffsets {
         let new = self.sensors.iter().filter_map(|(id, rates)| Some((id.clone(), offset(&self.poses, rates)?)));
         let new: Vec<_> = new.collect();
         let any = !new.is_empty();
-        for (id, offset) in new {
-            let held = self.found.entry(id).or_insert(offset);
-            *held += 0.3 * (offset - *held);
+        let is_short = self.poses.0.front().is_none_or(|first| to.seconds_since(first.0) < SHORT.0);
+        for (id, Shift { late, deviation }) in new {
+            let share = if is_short { SHORT.1 } else { KNOWN.1 };
+            if deviation < KNOWN.0.max(share * late.abs()) {
+                let held = self.found.entry(id).or_insert(late);
+                *held += 0.3 * (late - *held);
+            } else if self.found.get(&id).is_some_and(|held| (held - late).abs() > CONTRADICTS * deviation) {
+                self.found.remove(&id);
+            }
         }
         any
     }
@@ -99,8 +115,15 @@ impl ClockOffsets {
     }
 }
 
-/// Seconds by which `rates` are late behind `poses`.
-fn offset(poses: &Rates, rates: &Rates) -> Option<f64> {
+/// Seconds by which a sensor's stamps are late, and the standard deviation of that.
+#[derive(Debug, Clone, Copy)]
+struct Shift {
+    late: f64,
+    deviation: f64,
+}
+
+/// By how much `rates` are late behind `poses`.
+fn offset(poses: &Rates, rates: &Rates) -> Option<Shift> {
     let score = |late: f64| agreement(poses, rates, late).unwrap_or(-1.0);
     let steps = (REACH_S / STEPS_S.0).round() as i32;
     let coarse: Vec<f64> = (-steps..=steps).map(|k| score(f64::from(k) * STEPS_S.0)).collect();
@@ -116,7 +139,36 @@ fn offset(poses: &Rates, rates: &Rates) -> Option<f64> {
     let (a, b, c) = (fine[best - 1], most, fine[best + 1]);
     let bend = a - 2.0 * b + c;
     let between = if bend < -1e-12 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    Some(around + (best as f64 + between - f64::from(n)) * STEPS_S.1)
+    let late = around + (best as f64 + between - f64::from(n)) * STEPS_S.1;
+    let deviation = deviation(poses, rates, late)?;
+    Some(Shift { late, deviation })
+}
+
+/// Standard deviation of a shift, seconds: that of the delay which makes the two agree best, to first order, where what they differ
+/// by may go on for some poses (the estimate of its variance is Newey's and West's, 1987).
+fn deviation(poses: &Rates, rates: &Rates, late: f64) -> Option<f64> {
+    let step = SLOPE_S;
+    let around = |of: &Rates, t: Timestamp| {
+        let at = |s: f64| of.at(t.plus_seconds(s));
+        Some((at(0.0)?, (at(step)? - at(-step)?) / (2.0 * step)))
+    };
+    let both = |(t, _): &(Timestamp, f64)| Some((around(poses, *t)?, around(rates, t.plus_seconds(late))?));
+    let samples: Vec<((f64, f64), (f64, f64))> = poses.0.iter().filter_map(both).collect();
+    let n = samples.len() as f64;
+    let (ma, mb) = (samples.iter().map(|s| s.0.0).sum::<f64>() / n, samples.iter().map(|s| s.1.0).sum::<f64>() / n);
+    let (mut saa, mut sab, mut steep) = (0.0, 0.0, 0.0);
+    for ((a, slope_a), (b, slope_b)) in &samples {
+        saa += (a - ma) * (a - ma);
+        sab += (a - ma) * (b - mb);
+        // What either is off by is not squared, so that it does not pass for turning.
+        steep += slope_a * slope_b;
+    }
+    let pull = |((a, slope), (b, _)): &((f64, f64), (f64, f64))| slope * (b - mb - sab / saa * (a - ma));
+    let pulls: Vec<f64> = samples.iter().map(pull).collect();
+    let together = |lag: usize| pulls.iter().zip(&pulls[lag.min(pulls.len())..]).map(|(p, q)| p * q).sum::<f64>();
+    let lasting = (1..=LASTS).map(|lag| 2.0 * (1.0 - lag as f64 / (LASTS + 1) as f64) * together(lag)).sum::<f64>();
+    let variance = (together(0) + lasting).max(0.0) / (steep * steep);
+    (steep > 0.0 && variance.is_finite()).then(|| variance.sqrt())
 }
 
 /// The best of scores in a row if none beyond its own hill comes near it, the ends included, behind which more may lie.
@@ -191,6 +243,26 @@ mod tests {
     fn who_swings_to_and_fro_tells_nothing_since_any_swing_is_like_the_next() {
         let swing = |t: f64| (5.0 * t).sin();
         assert_eq!(estimate(1.0, |t| swing(t).abs(), |t| -(5.0 * t).cos() / 5.0), None);
+    }
+
+    #[test]
+    fn wheels_that_slip_are_not_taken_for_a_clock_that_is_off() {
+        // They turn by something else for half a second at a time, so that the two agree to 0.8 to 0.95.
+        for seed in 0..60u32 {
+            let slip = |t: f64| {
+                let mut word = (2.0 * t).floor() as u64 + 1000 * u64::from(seed);
+                // splitmix64 (Steele, Lea and Flood 2014).
+                for factor in [0xbf58_476d_1ce4_e5b9, 0x94d0_49bb_1331_11eb_u64] {
+                    word = word.wrapping_add(0x9e37_79b9_7f4a_7c15);
+                    word = (word ^ (word >> 30)).wrapping_mul(factor);
+                }
+                0.7 * ((word >> 40) as f64 / f64::from(1 << 24) - 0.5)
+            };
+            let found = estimate(0.0, |t| rate(t) + slip(t), angle);
+            assert!(found.is_none_or(|late| late.abs() < 0.02), "{seed}: {found:?}");
+            let late = estimate(0.3, |t| rate(t) + slip(t), angle);
+            assert!(late.is_none_or(|late| (late - 0.3).abs() < 0.1), "{seed}: {late:?}");
+        }
     }
 
     #[test]

@@ -150,7 +150,12 @@ fn contents(survey: &Survey, taken: &[usize]) -> Vec<String> {
 fn primary(path: &Path, survey: &Survey, options: &OpenOptions) -> Result<usize, FormatError> {
     let listed = || {
         let each = survey.topics.iter().map(|t| format!("{} ({}, {})", t.topic.name, t.topic.type_name, t.count));
-        each.take(MOST_TOLD).collect::<Vec<_>>().join(", ")
+        let each: Vec<String> = each.take(MOST_TOLD).collect();
+        if each.is_empty() {
+            "none: it is cut before its first message, or nothing was recorded".to_owned()
+        } else {
+            each.join(", ")
+        }
     };
     let refused = |reason: String| Err(FormatError::Recording { reason: format!("{}: {reason}", path.display()) });
     if let Some(wanted) = &options.topic {
