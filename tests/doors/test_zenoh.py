@@ -177,7 +177,7 @@ def test_a_robot_plugs_in_by_zenoh_alone(server, name):
         found = robot.space.points([position, [position[0] + 500.0, 0.0, 0.0]])
         assert [str(s) for s in found.states] == ["free", "unknown"]
         assert robot.plan((position[0] + 0.3, position[1]))
-        assert [k.keyframe_id for k in robot.keyframes()][0] == 0
+        assert next(iter(robot.keyframes())).keyframe_id == 0
         assert len(robot.trajectory().stamps_ns) == 8
         assert robot.map.occupancy().cells.shape == MapReader(server.zenoh, session_id=name).occupancy().cells.shape
         robot.update(display_name="by zenoh")
