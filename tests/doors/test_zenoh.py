@@ -246,10 +246,12 @@ def test_who_is_there_is_told_by_liveliness(server, session):
         publisher.send_scan("laser", stamp_ns=world.stamp(1), **world.scan(world.drive(2)[1]))
         assert eventually(lambda: session.info().last_stamp_ns == world.stamp(1))
         assert not session.info().stream_notes
-        # Gone without a word.
+        # Gone without a word; what is no sensor of the session is not told of.
+        strange = publisher._zenoh.liveliness().declare_token(f"percept/{session_id}/nothing/alive")
+        assert strange
         publisher._zenoh.close()
         assert eventually(lambda: session.info().stream_notes)
-        note = session.info().stream_notes[0]
+        (note,) = session.info().stream_notes
         assert note.stream == "laser" and "left the zenoh network" in note.message
         with SensorPublisher(server.zenoh, session_id=session_id) as again:
             again.send_scan("laser", stamp_ns=world.stamp(2), **world.scan(world.drive(3)[2]))

@@ -72,7 +72,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Vec<Stamped<BreezyRow>>, F
             Err(error) => return Err(error),
         };
         if let Some(before) = before {
-            t_odom_base = t_odom_base * driven(before, ticks);
+            t_odom_base *= driven(before, ticks);
         }
         before = Some(ticks);
         limits.points(((rows.len() + 1) * ranges_mm.len()) as u64)?;

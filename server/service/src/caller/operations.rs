@@ -297,10 +297,10 @@ impl Caller {
         }
     }
 
-    /// The same of a session that is awake; one that sleeps is left alone.
-    pub async fn note_if_awake(&self, session: &str, stream: &str, message: Option<String>) {
+    /// Notes that the driver of a sensor has gone, or is there again, if the caller may send to that session.
+    pub async fn note_driver(&self, session: &str, sensor: &SensorId, message: Option<String>) {
         if self.may_with("SensorsService/StreamFrames", session).await.is_ok() {
-            self.service.note_if_awake(session, stream, message).await;
+            self.service.note_driver(session, sensor, message).await;
         }
     }
 

@@ -93,10 +93,13 @@ impl Service {
         }
     }
 
-    /// The same of a session that is awake; one that sleeps is left alone.
-    pub async fn note_if_awake(&self, session: &str, stream: &str, message: Option<String>) {
-        if let Some(session) = self.view_session(session).await.ok().and_then(|view| view.live) {
-            session.note_stream(stream, message);
+    /// Notes that the driver of a sensor has gone, in words, or is there again. A session that sleeps is left alone, and what is no
+    /// sensor of the session is nothing to note.
+    pub async fn note_driver(&self, session: &str, sensor: &SensorId, message: Option<String>) {
+        let live = self.view_session(session).await.ok().and_then(|view| view.live);
+        let has_it = |session: &Arc<Session>| session.meta().sensors.iter().any(|s| s.spec.id == *sensor);
+        if let Some(session) = live.filter(has_it) {
+            session.note_stream(&sensor.0, message);
         }
     }
 

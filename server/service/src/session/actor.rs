@@ -1,6 +1,6 @@
 //! The actor: takes frames from a bounded queue, one at a time, and publishes what they did.
 
-use super::command::{Command, Corrected, Imported, Moved, Processed, Vetoed};
+use super::command::{Command, Corrected, Imported, Moved, Processed, Telling, Vetoed};
 use super::event::EventKind;
 use super::events::EventLog;
 use super::fault::Trouble;
@@ -17,7 +17,7 @@ use super::sensor_book::TakenAs;
 use crate::{Asker, ComputePool, Limits, Progress, Result, observe};
 use percept_geometry::{Pose, SensorFrame, SensorId};
 use percept_mapping::given::GivenView;
-use percept_pipeline::{FrameError, FrameReport, LoopId, MapChange, Pipeline, PoseEstimate, Snapshot, Told};
+use percept_pipeline::{FrameError, FrameReport, LoopId, MapChange, Pipeline, Snapshot};
 use percept_scene::{Correction, CorrectionError, ObjectId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError};
@@ -38,8 +38,8 @@ pub(super) struct Actor {
     pub(super) recording: Option<Recording>,
     /// What was counted of each sensor's frames when the session woke.
     pub(super) stored_counts: BTreeMap<SensorId, FrameCounts>,
-    /// Where the robot is said to be, base to map, and who waits for what comes of it.
-    telling: VecDeque<(Pose, oneshot::Sender<(Told, PoseEstimate)>)>,
+    /// Where the robot is said to be.
+    telling: VecDeque<Telling>,
 }
 
 /// Why an actor ended.
@@ -210,7 +210,11 @@ impl Actor {
                     let _ = reply.send(answer);
                 }
             }
-            Command::TellPose { t_map_base, reply } => self.telling.push_back((t_map_base, reply)),
+            Command::TellPose(telling) => self.telling.push_back(telling),
+            Command::ForgetTold { id, reply } => {
+                self.telling.retain(|telling| !Arc::ptr_eq(&telling.id, &id));
+                let _ = reply.send(());
+            }
             Command::Settle { reply } => {
                 if let Some(answer) = self.settle().await {
                     let _ = reply.send(answer);
@@ -234,9 +238,9 @@ impl Actor {
         let (waited, began, look) = (came.elapsed(), Instant::now(), FrameLook::of(&frame.data));
         let mut pipeline = self.pipeline.take().ok_or_else(stopped)?;
         let sender = self.sender();
-        // Who does not wait any more was told that nothing came of it.
-        self.telling.retain(|(_, reply)| !reply.is_closed());
-        let told = self.telling.front().map(|(t_map_base, _)| *t_map_base);
+        // Who has gone wants nothing any more.
+        self.telling.retain(|telling| !telling.reply.is_closed());
+        let told = self.telling.front().map(|telling| telling.t_map_base);
         let (pipeline, outcome, frame) = self
             .compute
             .run_for(&sender, move || {
@@ -305,9 +309,9 @@ impl Actor {
         };
         let ticket = self.store(job).await;
         if let (Some(told), Some(pose)) = (report.told, &report.pose)
-            && let Some((_, reply)) = self.telling.pop_front()
+            && let Some(telling) = self.telling.pop_front()
         {
-            let _ = reply.send((told, pose.clone()));
+            let _ = telling.reply.send((told, pose.clone()));
         }
         let latency = came.elapsed();
         lock(&self.session.book).accepted(&sensor, stamp, ticket, (latency, look));

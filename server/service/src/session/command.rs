@@ -10,6 +10,7 @@ use percept_mapping::given::GivenView;
 use percept_perception::detection::ImageDetectors;
 use percept_pipeline::{Loop, LoopId, PoseEstimate, Told};
 use percept_scene::{Correction, CorrectionError, ObjectId};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedMutexGuard, oneshot};
 
@@ -42,6 +43,14 @@ impl Pending {
     pub async fn answer(self) -> Result<Processed> {
         self.0.await.unwrap_or_else(|_| Err(stopped()))
     }
+}
+
+/// Where the robot is said to be, base to map, and who waits for what comes of it.
+pub(crate) struct Telling {
+    /// Its own, to take it back by.
+    pub(crate) id: Arc<()>,
+    pub(crate) t_map_base: Pose,
+    pub(crate) reply: oneshot::Sender<(Told, PoseEstimate)>,
 }
 
 /// What became of a submitted frame so far.
@@ -91,10 +100,12 @@ pub(crate) enum Command {
     Settle {
         reply: oneshot::Sender<Moved>,
     },
-    /// Where the robot is, base to map, as somebody says; answered by the next frame that moves the pose.
-    TellPose {
-        t_map_base: Pose,
-        reply: oneshot::Sender<(Told, PoseEstimate)>,
+    /// Where the robot is, as somebody says; answered by the next frame that moves the pose.
+    TellPose(Telling),
+    /// Takes back what was told, if no frame has answered it yet.
+    ForgetTold {
+        id: Arc<()>,
+        reply: oneshot::Sender<()>,
     },
     /// None if there is a map already. Once it is not wanted any more, nothing is stored, and the session ends.
     Import {

@@ -1,6 +1,8 @@
 //! The handle on a running session: doors put frames and commands into its actor's queue, and read what it published.
 
-use super::command::{Command, Corrected, Imported, Moved, Offered, Pending, Processed, Submitted, Ticket, Vetoed};
+use super::command::{
+    Command, Corrected, Imported, Moved, Offered, Pending, Processed, Submitted, Telling, Ticket, Vetoed,
+};
 use super::events::EventLog;
 use super::fault::{Fault, Trouble};
 use super::frame_look::FrameLook;
@@ -409,12 +411,17 @@ impl Session {
     /// `SESSION_STOPPED`.
     pub(crate) async fn tell_pose(&self, t_map_base: Pose) -> Result<Option<(Told, PoseEstimate)>> {
         self.check_storing()?;
-        let (reply, done) = oneshot::channel();
-        self.queue.send(Command::TellPose { t_map_base, reply }).await.map_err(|_| stopped())?;
-        match timeout(TELLING_PATIENCE, done).await {
-            Ok(done) => done.map(Some).map_err(|_| stopped()),
-            Err(_) => Ok(None),
+        let (id, (reply, mut done)) = (Arc::new(()), oneshot::channel());
+        let telling = Telling { id: Arc::clone(&id), t_map_base, reply };
+        self.queue.send(Command::TellPose(telling)).await.map_err(|_| stopped())?;
+        if let Ok(done) = timeout(TELLING_PATIENCE, &mut done).await {
+            return done.map(Some).map_err(|_| stopped());
         }
+        // A frame that is being worked in may answer it still: only what is taken back has changed nothing.
+        let (reply, forgotten) = oneshot::channel();
+        self.queue.send(Command::ForgetTold { id, reply }).await.map_err(|_| stopped())?;
+        forgotten.await.map_err(|_| stopped())?;
+        Ok(done.try_recv().ok())
     }
 
     /// Makes the small corrections that wait for more.

@@ -71,7 +71,7 @@ async fn hear(zenoh: &zenoh::Session, names: &Names) -> Result<(), Failure> {
              come again when it is back"
         );
         if let Ok(caller) = names.sender(session) {
-            caller.note_if_awake(session, sensor, (!is_there).then_some(words)).await;
+            caller.note_driver(session, &sensor.into(), (!is_there).then_some(words)).await;
         }
     }
     Ok(())
