@@ -185,7 +185,7 @@ def test_a_robot_plugs_in_by_zenoh_alone(server, name):
         with pytest.raises(InvalidArgument) as error:
             robot.plan((float("nan"), 0.0))
         assert error.value.field.startswith("goal")
-        with pytest.raises(FailedPrecondition, match=r"percept\.connect"):
+        with pytest.raises(FailedPrecondition, match=r"percept\.Client"):
             robot.watch()
     # Again, as a program that is started anew; and with another sensor of that name.
     with SensorPublisher(server.zenoh, session_id=name, sensors=[world.LASER]) as publisher:

@@ -20,7 +20,7 @@ Ask = Callable[[Rpc[Any, Any], bytes, float], bytes]
 
 def _needs_grpc(what: str) -> NoReturn:
     raise FailedPrecondition(
-        f"{what} does not travel over zenoh; use percept.connect(), or poses() and events() of MapReader",
+        f"{what} does not travel over zenoh; use percept.Client, or poses() and events() of MapReader",
         reason="NEEDS_GRPC",
     )
 
