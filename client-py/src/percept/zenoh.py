@@ -173,7 +173,7 @@ class _Peer:
     @property
     def session(self) -> Session:
         """The session, asked over zenoh: all that `Session` can do but streams of frames or events, and
-        files (`stream`, `watch`, `watch_path`, exports), which need gRPC (NEEDS_GRPC)."""
+        files: `stream`, `watch` and `watch_path` raise NEEDS_GRPC, exports KEY_UNKNOWN."""
         return Session(self._transport(), self.session_id)
 
     def is_alive(self) -> bool:

@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn wheels_that_slip_are_not_taken_for_a_clock_that_is_off() {
-        // They turn by something else for half a second at a time, so that the two agree to 0.8 to 0.95.
+        // They turn by something else for half a second at a time, so that the two agree to 0.94 to 0.99.
         for seed in 0..60u32 {
             let slip = |t: f64| {
                 let mut word = (2.0 * t).floor() as u64 + 1000 * u64::from(seed);
